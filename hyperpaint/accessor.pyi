@@ -18,8 +18,7 @@ from hyperpaint.alignment.estimation import Window
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Quality
-from hyperpaint.geometry.georeference.cameras import PinholeCamera
-from hyperpaint.geometry.georeference.poses import Interpolation
+from hyperpaint.geometry.georeference.locating import Interpolation, PinholeCamera
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing

@@ -139,7 +139,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
     from hyperpaint.simulation.rendering.relighting import factor_spectra, populations_of
-    from hyperpaint.simulation.rendering.scene_record import SceneRecord
+    from hyperpaint.simulation.rendering.scene import SceneRecord
     from hyperpaint.simulation.transport.mixing import member_rows
 
     record, settings = SceneRecord.from_attrs(traced.attrs)

@@ -173,7 +173,7 @@ def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
         def progress(step: str) -> Any:
             return bars.enter_context(progress_bar(step))
 
-        def say(outcome: workflows.products.StepOutcome) -> None:
+        def say(outcome: workflows.pipeline.StepOutcome) -> None:
             bars.close()
             text = "see below" if outcome.state == "failed" else outcome.text
             click.echo(f"{outcome.step:<10}  {outcome.state:<9}  {text}")
@@ -304,7 +304,7 @@ Raw files that lie neither beside the store nor below its folder are read only i
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
 @takes(
-    "workflows.virtual_store:virtualise",
+    "workflows.pipeline:virtualise",
     out={"metavar": "STORE", "type": PLACE, "help": "A folder, a repository of icechunk."},
     prefix={
         "metavar": "URL",
@@ -319,7 +319,7 @@ def virtual(collect: Path, out: Path, **options: Any) -> None:
     It holds all variables that calibrate the lines; counts stay in the raw files of the camera, and are read
     when a product is computed. Raw files that were moved, truncated or changed are refused.
     """
-    say_outcome(workflows.virtual_store.virtualise(collect, out, **options))
+    say_outcome(workflows.pipeline.virtualise(collect, out, **options))
     _, allow = outside(out, virtual_groups(out))
     if allow:
         shown = allow[0] if len(allow) == 1 else allow

@@ -105,7 +105,7 @@ def simulate(
 
 def _print_example(ctx: click.Context, _: click.Parameter, is_set: bool) -> None:
     if is_set and not ctx.resilient_parsing:
-        click.echo(workflows.scene_files.example_scene(), nl=False)
+        click.echo(workflows.rendering.example_scene(), nl=False)
         ctx.exit()
 
 

@@ -16,13 +16,14 @@ from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJ
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, east_north_up
-from hyperpaint.geometry.georeference.poses import (
+from hyperpaint.geometry.georeference.locating import (
     LOCATION_UNITS,
     NAVIGATION_TIME,
+    PinholeCamera,
     canonical_values,
     convention_of_line,
+    look_angles,
     matrices,
     pose_columns,
     poses_at,

@@ -34,15 +34,14 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.paints.mixing.synthetic_paints import starter_library
 from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
-from hyperpaint.paints.starter_paints import starter_library
 from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.geojson import regions_from
-from hyperpaint.surroundings.corrections import sky_above
-from hyperpaint.surroundings.light_split import has_split, split_of
+from hyperpaint.surroundings.corrections import has_split, sky_above, split_of
 
 # --- scores of spectra for paints, and distances from paints: plain arrays, float64 ------------------------
 

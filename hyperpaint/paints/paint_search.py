@@ -1,4 +1,4 @@
-"""Search of paints in a library: by name, by colour, by the shape of their spectra."""
+"""Colours of paints in daylight, and search of paints by name, colour, or shape of spectrum."""
 
 from __future__ import annotations
 
@@ -10,14 +10,37 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
-from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour
+from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour, srgb
 
-from .colours import paint_colours
+
+@takes_quantities()
+def paint_colours(paints: xr.Dataset) -> Floats32:
+    """Return the colour of every paint in daylight, (signature, 3), sRGB 0 to 1; NaN without visible bands.
+
+    Bands that are not ``good`` are excluded.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> paints = starter_library(members=0)
+    >>> red = paint_colours(paints.isel(signature=[5]))[0]
+    >>> int(red.argmax()), red.shape
+    (0, (3,))
+    """
+    variables = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
+    values = variables["reflectance"].values
+    if "good" in paints.variables:
+        values = np.where(paints["good"].values.astype(bool), values, np.nan)
+    try:
+        return np.asarray(srgb(values, variables["wavelength"].values), np.float32)
+    except SchemaError:  # fewer than three visible bands
+        return np.full((len(values), 3), np.nan, np.float32)
+
 
 #: Minimum number of common bands of two spectra that are compared.
 MIN_BANDS = 5

@@ -27,8 +27,7 @@ from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-from hyperpaint.geometry.georeference.locating import locate
-from hyperpaint.geometry.georeference.poses import POSE
+from hyperpaint.geometry.georeference.locating import POSE, locate
 
 from .geojson import Region, Regions, regions_from
 

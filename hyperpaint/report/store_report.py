@@ -52,26 +52,29 @@ from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.reader import place_of
 from hyperpaint.light.daylight_colours import srgb_hex
-from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.paint_search import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import (
     background,
+    calibration_report,
+    draw_gain,
     draw_irradiance,
     draw_outlines,
     draw_spread,
+    draw_uncertainties,
+    find_usable,
     flag_label,
     flag_overlay,
     flags_of,
+    library_overview,
     rgb,
     triptych,
 )
-from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
 from hyperpaint.pictures.plot_paints import draw_panels, paint_card, validation_figure
-from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
-from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.surroundings.scratch import compute_into, release, scratch_array, survey_planned
+from hyperpaint.surroundings.surveying import flag_line, is_flagged
 from hyperpaint.validation import Validation, validate
 
 from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_part

@@ -7,8 +7,5 @@ from . import (
     library_files as library_files,
     maps as maps,
     pipeline as pipeline,
-    products as products,
     rendering as rendering,
-    scene_files as scene_files,
-    virtual_store as virtual_store,
 )

@@ -16,7 +16,7 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import CROSS_TRACK, label
-from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 from hyperpaint.io.flightline.calibration_store import open_sweep
@@ -77,7 +77,7 @@ def write_calibration(
     calibration = calibrate_sweep(sweep, progress=progress, **options)
     to_store(calibration, Path(out), overwrite=overwrite)
     if picture is not None:
-        from hyperpaint.pictures.plot_calibration import calibration_report
+        from hyperpaint.pictures.plot import calibration_report
 
         calibration_report(calibration, open_sweep(sweep), Path(picture))
     return calibration

@@ -20,7 +20,7 @@ from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, Sc
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.rendering.relighting import factor_spectra
-from hyperpaint.simulation.rendering.scene_record import SceneRecord, sun_vectors
+from hyperpaint.simulation.rendering.scene import SceneRecord, sun_vectors
 
 if TYPE_CHECKING:
     from hyperpaint.simulation.rendering.four_curves import Atmosphere

@@ -27,8 +27,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo, gloss_units
 from hyperpaint.simulation.rendering.platforms import Platform, matrices
-from hyperpaint.simulation.rendering.scene import Scene, box, plane
-from hyperpaint.simulation.rendering.scene_record import sun_vectors
+from hyperpaint.simulation.rendering.scene import Scene, box, plane, sun_vectors
 
 # --- mitsuba ---
 

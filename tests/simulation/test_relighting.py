@@ -42,8 +42,7 @@ from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.relighting import SHARES, ProductTable, factor_spectra
-from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.scene import SceneRecord, plane
 from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, paint_spec, reflectance, spectrum_of
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.transport.path_codes import (

@@ -49,8 +49,7 @@ from hyperpaint.simulation.collect import simulate_collect
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.scene import Scene, plane
-from hyperpaint.simulation.rendering.scene_record import sun_vectors
+from hyperpaint.simulation.rendering.scene import Scene, plane, sun_vectors
 from hyperpaint.simulation.settings import (
     DEFAULT_START,
     NEAR_SUNSET,

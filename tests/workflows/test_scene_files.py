@@ -24,13 +24,14 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.relighting import by_name, factor_spectra
-from hyperpaint.simulation.rendering.scene_record import SceneRecord, TraceSettings
-from hyperpaint.workflows.rendering import export_dirsig_scene, named_libraries
-from hyperpaint.workflows.scene_files import (
+from hyperpaint.simulation.rendering.scene import SceneRecord, TraceSettings
+from hyperpaint.workflows.rendering import (
     SceneFile,
     build_parts,
     chosen_atmospheres,
     example_scene,
+    export_dirsig_scene,
+    named_libraries,
     read_paints,
     read_scene_file,
     read_spectra,

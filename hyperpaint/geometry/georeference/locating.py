@@ -1,51 +1,623 @@
-"""Ground position of every pixel of a flight line."""
+"""Ground position of every pixel of a flight line.
+
+It follows from the look directions of the columns of a line camera, and from position and attitude of the
+camera, in canonical form, at the middle of every exposure. Outline of a located line, and spacing of its
+pixels, follow from it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import dask
 import dask.array as da
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Ints
-from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.constants import lines_a_task
-from hyperpaint.base.errors import Problems, SchemaError, UnitsError, warn_user
-from hyperpaint.base.facts import documented
+from hyperpaint.base.errors import Problems, SchemaError, TimeError, UnitsError, needs_extra, warn_user
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.base.units import conversion_factor, takes_quantities
+from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.io.files.reading import numbers
+from hyperpaint.io.maps.map_grids import cut_at_dateline
 from hyperpaint.kernels.arguments import BLOCK, LineFrames, LineRays, Raster
 
-from .cameras import PinholeCamera, directions, look_angles
 from .geodesy import (
+    between_maps,
     crs_of,
     grid_mapping_attrs,
     is_in_metres,
+    meridian_convergence,
     near_turns,
     polynomials,
     turn_of_north,
     utm_zone,
     vertical_of,
 )
-from .poses import (
-    LOCATION_UNITS,
-    NAVIGATION_TIME,
-    POSE,
-    Interpolation,
-    canonical_values,
-    check_interpolation,
-    convention_of_line,
-    matrices,
-    pose_columns,
-    poses_at,
-    quaternions,
-    with_convention,
-)
+
+Interpolation = Literal["linear", "cubic"]
+
+NAVIGATION_TIME = "navigation_time"
+#: Variables of a pose, in the order in which arrays (6, row) hold them.
+POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+ANGLES = ("roll", "pitch", "heading")
+
+_NS_PER_S = 1e9
+_NAT = np.iinfo(np.int64).min
+_GAP_INTERVALS, _MIN_GAP_S = (
+    2.5,
+    0.1,
+)  # an interval between rows above both is a gap: median intervals, and seconds
+
+#: Units of the arguments of `locate`.
+LOCATION_UNITS = {
+    "ground": "m",
+    "boresight": "degree",
+    "lever_arm": "m",
+    "clock_offset_s": "s",
+    "max_gap_s": "s",
+}
+
+
+# --- canonical form ----------------------------------------------------------------------------------------
+
+
+@documented()
+def canonical_navigation(
+    navigation: xr.Dataset, *, convention: Convention | None = None, crs: Any = None
+) -> xr.Dataset:
+    """Return a navigation record in canonical form (see `hyperpaint.base.attitude_conventions`).
+
+    Parameters
+    ----------
+    navigation
+        ``latitude``, ``longitude`` [degree], ``altitude`` [m], ``roll``, ``pitch``, ``heading``
+        (navigation_time), as their file has them; also of a flight line (along_track).
+    convention
+        Meaning of these variables; by default as their attributes declare.
+    crs
+
+    Returns
+    -------
+    xarray.Dataset
+        The record with these six in canonical form, float64, and attributes that say so. Other variables are
+        kept.
+
+    Raises
+    ------
+    SchemaError
+        Variables are missing, their meaning is not declared, or units contradict it; all are listed. A
+        declination, geoid undulation or grid is needed and missing.
+    UnitsError
+        Units that cannot be read, or are of another dimension.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> record = xr.Dataset({name: ("navigation_time", [1.0]) for name in POSE})
+    >>> mirrored = Convention(roll_positive="right_wing_up")
+    >>> canonical_navigation(record, convention=mirrored)["roll"].values
+    array([-1.])
+    """
+    convention = convention_of(navigation, convention)
+    columns = pose_columns(navigation, convention)
+    values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
+    dims = columns["roll"].dims
+    canonical = navigation.assign({n: _labelled(v, n, dims) for n, v in zip(POSE, values, strict=True)})
+    canonical.attrs = with_convention(navigation.attrs, convention.of_canonical)
+    return canonical
+
+
+def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
+    # Return attributes that declare this convention and no other.
+    return {
+        **{name: value for name, value in attrs.items() if not str(name).startswith("convention_")},
+        **convention.to_attrs(),
+    }
+
+
+def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
+    return label(xr.DataArray(values, dims=dims), name)
+
+
+def convention_of_line(
+    line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None
+) -> Convention:
+    # Return the convention of a line's poses; the line's own column order fills a missing one.
+    #
+    # Raises `SchemaError`: Neither the argument nor the attributes of the record, or of the line without one,
+    # declare it.
+    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
+    declared = convention_of(source, convention, subject)
+    line_convention = Convention.from_attrs(line.attrs)
+    if declared.column_order is None and line_convention is not None:
+        declared = declared.replace(column_order=line_convention.column_order)
+    return declared
+
+
+def convention_of(
+    dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
+) -> Convention:
+    # Return the given convention, else the one of the attributes; SchemaError where there is neither.
+    declared = convention or Convention.from_attrs(dataset.attrs)
+    if declared is None:
+        raise SchemaError(
+            f"{subject} does not declare its angles and heights, which differ between makers",
+            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
+            code="convention-missing",
+        )
+    return declared
+
+
+def pose_columns(
+    dataset: xr.Dataset, convention: Convention, dim: str | None = None
+) -> dict[str, xr.DataArray]:
+    # Return the six variables of a pose, positions in degree and metre, angles in the convention's unit.
+    #
+    # Raises `SchemaError`: Variables are missing, or units contradict the convention; all are listed. Raises
+    # `UnitsError`: Units that cannot be read, or are of another dimension.
+    problems = Problems("the poses of the camera cannot be read", SchemaError)
+    columns: dict[str, xr.DataArray] = {}
+    for name in POSE:
+        if name not in dataset.variables:
+            problems.add(f"{name!r} is missing", code="variable-missing")
+            continue
+        column = dataset[name].reset_coords(drop=True)
+        if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
+            dims = ", ".join(map(str, column.dims))
+            problems.add(
+                f"{name!r} has dims ({dims})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
+            )
+            continue
+        units = column.attrs.get("units")
+        if name not in ANGLES:
+            column = column if units is None else convert(column, "m" if name == "altitude" else "degree")
+        elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
+            problems.add(
+                f"{name!r} has units {units!r}, while the convention declares angle_unit "
+                f"{convention.angle_unit!r}",
+                mend="correct the one that is wrong",
+                code="units-conflict",
+            )
+        columns[name] = column
+    problems.raise_if_any()
+    return columns
+
+
+def canonical_values(
+    latitude: npt.ArrayLike,
+    longitude: npt.ArrayLike,
+    altitude: npt.ArrayLike,
+    roll: npt.ArrayLike,
+    pitch: npt.ArrayLike,
+    heading: npt.ArrayLike,
+    *,
+    convention: Convention,
+    crs: Any = None,
+) -> Floats:
+    # Return canonical poses (6, row), float64, from columns in the given convention.
+    latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
+    convergence = None
+    if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
+        convergence = meridian_convergence(latitude, longitude, convention.grid_crs or crs)
+    angles = convention.canonical(roll, pitch, heading, convergence=convergence)
+    return np.stack([latitude, longitude, convention.ellipsoidal(altitude), *angles])
+
+
+# --- at given times ----------------------------------------------------------------------------------------
+
+
+@takes_quantities(clock_offset_s="s", max_gap_s="s")
+@documented()
+def interpolate_pose(
+    navigation: xr.Dataset,
+    time: xr.DataArray,
+    *,
+    convention: Convention | None = None,
+    clock_offset_s: float = 0.0,
+    max_gap_s: float | None = None,
+    interpolation: Interpolation = "linear",
+    crs: Any = None,
+) -> xr.Dataset:
+    """Return canonical poses at given times, interpolated on the shortest arc between rows of a record.
+
+    Parameters
+    ----------
+    navigation
+        See `canonical_navigation`; ``navigation_time`` [UTC] must not run backwards.
+    time
+        UTC at mid exposure (along_track), datetime64; NaT allowed.
+    convention, crs
+        See `canonical_navigation`.
+    clock_offset_s
+    max_gap_s
+        Longest interval between rows that is interpolated [s]; by default 2.5 times the median one, at least
+        0.1 s.
+    interpolation
+        ``"linear"``: positions linear, attitude by slerp. ``"cubic"``: cubic splines of both between gaps,
+        which gain where rows are further apart than some 20 ms.
+
+    Returns
+    -------
+    xarray.Dataset
+        `POSE` (along_track), float64; NaN in gaps, outside the record and at NaT. Nothing is extrapolated. A
+        row with a NaN position counts as missing for positions, one with a NaN angle for the attitude.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        As `canonical_navigation`; an interpolation that does not exist; a gap that is not above 0.
+    TimeError
+        Times of the record run backwards.
+
+    Examples
+    --------
+    >>> pose = {"latitude": [34.0, 34.001], "longitude": [-81.0, -81.0], "altitude": [150.0, 150.0]}
+    >>> pose |= {"roll": [0.0, 0.0], "pitch": [0.0, 0.0], "heading": [350.0, 10.0]}
+    >>> start = np.datetime64("2021-07-20T17:00", "ns")
+    >>> rows = {"navigation_time": start + np.array([0, 2], "timedelta64[s]")}
+    >>> record = xr.Dataset({name: ("navigation_time", values) for name, values in pose.items()}, rows)
+    >>> times = xr.DataArray(start + np.array([1, 3], "timedelta64[s]"), dims="along_track")
+    >>> poses = interpolate_pose(record, times, convention=Convention())
+    >>> poses.heading.values, poses.latitude.values  # through north; nothing beyond the record
+    (array([ 0., nan]), array([34.0005,     nan]))
+    """
+    convention = convention_of(navigation, convention)
+    columns = pose_columns(navigation, convention)
+    poses = poses_at(
+        navigation[NAVIGATION_TIME].values,
+        canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs),
+        time.values,
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
+    interpolated = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
+    return interpolated.assign_attrs(convention.of_canonical.to_attrs())
+
+
+def poses_at(
+    recorded: npt.NDArray[np.datetime64],
+    values: Floats,
+    time: npt.NDArray[np.datetime64],
+    *,
+    clock_offset_s: float = 0.0,
+    max_gap_s: float | None = None,
+    interpolation: Interpolation = "linear",
+) -> Floats:
+    # Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`.
+    check_interpolation(interpolation, max_gap_s)
+    knot_ns = _nanoseconds(recorded)
+    wanted_ns = _nanoseconds(time)
+    wanted_ns = np.where(wanted_ns == _NAT, _NAT, wanted_ns + np.int64(round(clock_offset_s * _NS_PER_S)))
+    # rows later than all rows before them
+    rows_with_time = np.flatnonzero(knot_ns != _NAT)
+    steps = np.diff(knot_ns[rows_with_time])
+    if np.any(steps < 0):
+        rows = rows_with_time[1:][steps < 0]
+        listed = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
+        raise TimeError(
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knot_ns.size} rows ({listed})",
+            mend="sort the record by time, or remove these rows",
+            code="time-backwards",
+        )
+    later = rows_with_time[np.concatenate([[True], steps > 0])[: rows_with_time.size]]
+    knot_ns, values = knot_ns[later], values[:, later]
+    steps = np.diff(knot_ns) / _NS_PER_S
+    gap = max_gap_s or max(_GAP_INTERVALS * float(np.median(steps)) if steps.size else 0.0, _MIN_GAP_S)
+    poses = np.full((len(POSE), wanted_ns.size), np.nan)
+    for part in (slice(0, 3), slice(3, 6)):
+        is_recorded = np.isfinite(values[part]).all(axis=0)
+        if is_recorded.any():
+            poses[part] = _between(
+                knot_ns[is_recorded],
+                values[part][:, is_recorded],
+                wanted_ns,
+                gap,
+                interpolation,
+                is_attitude=part.start == 3,
+            )
+    # an incomplete pose becomes NaN in all six
+    poses[:, np.isnan(poses).any(axis=0)] = np.nan
+    return poses
+
+
+def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
+    # Refuse an unknown interpolation and a gap of 0 or less, as SchemaError.
+    problems = Problems("poses cannot be interpolated with these options", SchemaError)
+    one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
+    problems.add_if(
+        max_gap_s is not None and not max_gap_s > 0.0,
+        f"max_gap_s {max_gap_s!r:.60}",
+        expected="a time above 0 [s]",
+        code="value-out-of-range",
+    )
+    problems.raise_if_any()
+
+
+def _nanoseconds(time: Array) -> Ints:
+    TimeError.raise_if(
+        time.dtype.kind != "M",
+        f"times have dtype {time.dtype}",
+        expected="datetime64[ns] (UTC)",
+        code="type-wrong",
+    )
+    return time.astype("datetime64[ns]").astype(np.int64)
+
+
+def _between(
+    knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str, *, is_attitude: bool
+) -> Floats:
+    # Return positions, or roll, pitch and heading (3, line), from rows of them (3, row); NaN in gaps.
+    before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
+    after = np.minimum(before + 1, knots.size - 1)
+    is_inside = (wanted >= knots[0]) & (wanted <= knots[-1])
+    step = knots[after] - knots[before]
+    elapsed = np.where(is_inside, wanted - knots[before], 0)
+    # a time equal to that of a row needs no interpolation, whatever the distance of the next row
+    is_covered = is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
+    if is_attitude:
+        values = quaternions(*values).T
+    else:
+        values = np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
+    if interpolation == "cubic" and knots.size > 1:
+        # cubic splines of positions (3, row) or quaternions (4, row), which end at every gap
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        between = np.full((len(values), wanted.size), np.nan)
+        ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
+        for start, stop in itertools.pairwise(ends):
+            is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+            if not is_here.any():
+                continue
+            # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a neighbour
+            rows = slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
+            s, t = ((time - knots[start]) / _NS_PER_S for time in (knots[rows], wanted[is_here]))
+            if len(values) == 3:
+                between[:, is_here] = CubicSpline(s, values[:, rows], axis=1)(t)
+            else:
+                rotations = RotationSpline(s, Rotation.from_quat(values[:, rows].T, scalar_first=True))(t)
+                between[:, is_here] = rotations.as_quat(scalar_first=True).T
+    else:
+        weight = elapsed / np.maximum(step, 1)
+        first, second = values[:, before], values[:, after]
+        between = slerp(first.T, second.T, weight).T if is_attitude else first + weight * (second - first)
+    if is_attitude:
+        between = np.stack(angles_of(between.T))
+    else:
+        between[1] = wrapped(between[1])
+    return np.where(is_covered, between, np.nan)
+
+
+# --- rotations of a body (forward, right, down) in the frame north, east, down ----------------------------
+#
+# Quaternions are (scalar, x, y, z); q and -q are the same rotation. scipy's Rotation is not used: it takes
+# eight times as long for a line of 4000 rows, and differs in the last place in 27 % of the matrix elements,
+# which would move pixels of stored maps.
+
+
+_MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is replaced by its chord
+
+
+def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
+    # Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4).
+    halves = [np.radians(np.asarray(angle, np.float64)) / 2 for angle in (roll, pitch, heading)]
+    (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
+    return np.stack(
+        [
+            ch * cp * cr + sh * sp * sr,
+            ch * cp * sr - sh * sp * cr,
+            ch * sp * cr + sh * cp * sr,
+            sh * cp * cr - ch * sp * sr,
+        ],
+        axis=-1,
+    )
+
+
+def matrices(rotation: Floats) -> Floats:
+    # Return quaternions as matrices (..., 3, 3) from the body's frame to north, east, down.
+    w, x, y, z = np.moveaxis(rotation, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
+    # Return roll (-180 to 180), pitch (-90 to 90) and heading (0 to 360) [degree] of quaternions.
+    w, x, y, z = np.moveaxis(rotation, -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    # twice: the first mod turns a tiny negative angle into 360
+    return np.degrees(roll), np.degrees(pitch), np.mod(np.mod(np.degrees(heading), 360.0), 360.0)
+
+
+def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
+    # Return rotations on the shorter arc from ``first`` (weight 0) to ``second`` (weight 1) (..., 4).
+    #
+    # Shoemake (1985), "Animating rotation with quaternion curves".
+    second = np.where(((first * second).sum(axis=-1) < 0)[..., None], -second, second)
+    # from the chord: an arc cosine near 1 loses half of its digits
+    angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
+    is_near = angle < _MIN_ARC_RAD
+    sine = np.where(is_near, 1.0, np.sin(angle))
+    first_weight = np.where(is_near, 1.0 - weight, np.sin((1.0 - weight) * angle) / sine)
+    second_weight = np.where(is_near, weight, np.sin(weight * angle) / sine)
+    rotation = first_weight[..., None] * first + second_weight[..., None] * second
+    return np.asarray(rotation / np.linalg.norm(rotation, axis=-1, keepdims=True))
+
+
+_MAX_LOOK_ANGLE_DEG = 89.0  # angle from the optical axis
+
+
+@takes_quantities(pixel_pitch="m", focal_length="m", field_of_view="degree")
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A line camera whose columns are evenly spaced behind one projection centre.
+
+    Columns are evenly spaced in the tangent of the angle, not in the angle.
+
+    Attributes
+    ----------
+    columns
+        Number of columns; the axis runs through their middle.
+    pixel_pitch, focal_length
+        Distance of columns on the detector, and of the detector from the projection centre [m].
+    field_of_view
+        Angle between the outermost columns [degree], instead of the two lengths.
+    edges
+        Ends of ``field_of_view``: ``"centres"`` of the outermost columns, or their ``"outer"`` edges. The two
+        differ by half a column at either edge of the swath; makers use both, so there is no default.
+
+    Raises
+    ------
+    SchemaError
+        Neither or both of the two descriptions, or numbers out of range; all are listed.
+
+    Examples
+    --------
+    >>> PinholeCamera(3, pixel_pitch=7.4e-6, focal_length=7.4e-6).look_across("left_to_right")
+    array([-45.,   0.,  45.])
+    >>> PinholeCamera(3, field_of_view=90.0, edges="centres").look_across("right_to_left")
+    array([ 45.,   0., -45.])
+    """
+
+    columns: int
+    pixel_pitch: float | None = None
+    focal_length: float | None = None
+    field_of_view: float | None = None
+    edges: Literal["centres", "outer"] | None = None
+
+    def __post_init__(self) -> None:
+        problems = Problems("the description of this camera is not valid", SchemaError)
+        problems.add_if(
+            not (isinstance(self.columns, int | np.integer) and self.columns > 0),
+            f"columns {self.columns!r:.60}",
+            expected="a whole number above 0",
+            code="value-out-of-range",
+        )
+        lengths = (self.pixel_pitch, self.focal_length)
+        problems.add_if(
+            (self.field_of_view is None) == (None in lengths)
+            or (self.field_of_view is not None and lengths != (None, None)),
+            "pixel_pitch, focal_length and field_of_view do not describe one camera",
+            expected="either the two lengths, or field_of_view with edges",
+            code="option-conflict",
+        )
+        for name, limit, expected in (
+            ("pixel_pitch", np.inf, "a length above 0 [m]"),
+            ("focal_length", np.inf, "a length above 0 [m]"),
+            ("field_of_view", 2 * _MAX_LOOK_ANGLE_DEG, "0 to 178 [degree]"),
+        ):
+            value = getattr(self, name)
+            problems.add_if(
+                value is not None and not 0.0 < value < limit,
+                f"{name} {value!r:.60}",
+                expected=expected,
+                code="value-out-of-range",
+            )
+        problems.add_if(
+            self.field_of_view is not None
+            and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
+            and self.edges == "centres"
+            and self.columns == 1,
+            "one column has no angle between centres",
+            mend="give edges='outer'",
+            code="option-conflict",
+        )
+        problems.raise_if_any()
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring columns at unit distance, a tangent [1]."""
+        if self.pixel_pitch is not None and self.focal_length is not None:
+            return self.pixel_pitch / self.focal_length
+        intervals = self.columns - 1 if self.edges == "centres" else self.columns
+        return float(2.0 * np.tan(np.radians(self.field_of_view or 0.0) / 2.0) / intervals)
+
+    def look_across(self, column_order: Literal["left_to_right", "right_to_left"]) -> Floats:
+        """Return the angles of the columns from the axis, positive to the right (cross_track,) [degree]."""
+        sign = -1.0 if column_order == "right_to_left" else 1.0
+        offset = np.arange(self.columns) - (self.columns - 1) / 2
+        return np.asarray(np.degrees(np.arctan(sign * offset * self.spacing)) + 0.0)
+
+
+def look_angles(
+    line: xr.Dataset, camera: PinholeCamera | xr.Dataset | None, convention: Convention
+) -> tuple[Any, Any]:
+    # Return look angles of the columns, across and along the track (cross_track,) [degree]; maybe lazy.
+    #
+    # ``line``: Has ``cross_track``; and, without a camera, ``look_across`` and perhaps ``look_along``, or
+    # ``look_angle``. ``camera``: A pinhole, whose ``column_order`` the convention must declare; or a table of
+    # the angles of every column: ``look_across`` [degree], positive to the right, and, for a slit that is
+    # seen bent or turned, ``look_along``, positive forward. ``convention``: Declares ``column_order``; not
+    # needed for a table, whose angles have signs.
+    #
+    # Raises `SchemaError`: No camera, a camera with another number of columns, or an undeclared order of
+    # columns. Raises `UnitsError`: The angles of a table have no units.
+    if isinstance(camera, PinholeCamera):
+        if convention.column_order is None:
+            raise SchemaError(
+                "the order of columns is not declared: whether column 0 looks left or right",
+                mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
+                code="column-order-missing",
+            )
+        across = camera.look_across(convention.column_order)
+        along = np.zeros_like(across)
+    else:
+        source = line if camera is None else camera
+        name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
+        if name is None:
+            raise SchemaError(
+                "the line has neither look_across nor look_angle (cross_track) [degree]",
+                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                "of the angles",
+                code="camera-missing",
+            )
+        across = convert(source[name], "degree").data.astype(np.float64)
+        along = (
+            convert(source["look_along"], "degree").data.astype(np.float64)
+            if "look_along" in source.variables
+            else np.zeros(across.shape)
+        )
+    problems = Problems("the directions of the columns cannot be used", SchemaError)
+    for name, angles in (("look_across", across), ("look_along", along)):
+        problems.add_if(
+            angles.shape != (line.sizes[CROSS_TRACK],),
+            f"{name} has shape {angles.shape}",
+            expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
+            code="length-mismatch",
+        )
+    problems.raise_if_any()
+    return across, along
+
+
+def directions(across: Floats, along: Floats) -> Floats:
+    # Return unit vectors in the camera's frame (cross_track, 3): forward, right, along the optical axis.
+    #
+    # Raises `SchemaError`: Angles that are not finite, or point to the horizon or above it.
+    SchemaError.raise_if(
+        not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all(),
+        "some columns look to the horizon or above it, or have no angle",
+        expected=f"angles below {_MAX_LOOK_ANGLE_DEG:g} degrees",
+        code="value-out-of-range",
+    )
+    vectors = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
 
 # converts north, east, down to east, north, up
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -605,3 +1177,165 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     strips = [filled[r : r + BLOCK + 1].max(axis=0) for r in rows]
     block_max = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
     return Terrain(grid, elevation, block_max, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
+
+
+_LONGITUDE_LATITUDE = "OGC:CRS84"
+_PERCENTILES = (5.0, 95.0)
+
+
+@documented()
+def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
+    """Return the outline of the ground that a located line covers, as a GeoJSON Feature (eager).
+
+    Parameters
+    ----------
+    located
+    crs
+        Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
+
+    Returns
+    -------
+    dict
+        Feature with a Polygon through the centres of
+        the outermost pixels; a MultiPolygon where lines without a pose, or the longitude of 180 degrees,
+        divide it. Properties: ``area`` on the
+        map of the line [m2]; ``lines``, the number of located lines; ``crs``.
+
+    Raises
+    ------
+    SchemaError
+        The line is not located, or no two successive lines are.
+    MissingExtraError
+        shapely or pyproj is not installed (extra ``geo``).
+
+    Notes
+    -----
+    The outline is the union of the quadrilaterals between the ends of neighbouring lines: ground that a
+    wobble shows twice is counted once. Bends of less than half the spacing of the pixels are left out.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.base.attitude_conventions import Convention
+    >>> from hyperpaint.geometry import PinholeCamera, locate
+    >>> pose = dict(longitude=-81.0, altitude=150.0, roll=0.0, pitch=0.0, heading=0.0)
+    >>> line = xr.Dataset({name: ("along_track", np.full(2, value)) for name, value in pose.items()})
+    >>> line = line.assign(latitude=("along_track", [34.0, 34.0001]), cross_track=[0, 1, 2])
+    >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
+    >>> convention = Convention(column_order="left_to_right")
+    >>> located = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> outline = footprint(located)
+    >>> outline["geometry"]["type"], round(outline["properties"]["area"], -1)  # [m2]
+    ('Polygon', 1110.0)
+    """
+    with needs_extra("shapely", "geo", "the outline of a line"):
+        import shapely
+    east, north, source = _positions(located)
+    # the outermost located pixels of every line (line, end, 2)
+    is_located = np.isfinite(east) & np.isfinite(north)
+    outermost = is_located.argmax(axis=1), is_located.shape[1] - 1 - is_located[:, ::-1].argmax(axis=1)
+    rows = np.arange(len(east))
+    ends = np.stack(
+        [np.stack([east[rows, columns], north[rows, columns]], axis=-1) for columns in outermost], axis=1
+    )
+    is_placed = np.all(np.isfinite(ends), axis=(1, 2))
+    pairs = np.flatnonzero(is_placed[1:] & is_placed[:-1])
+    SchemaError.raise_if(
+        not pairs.size,
+        "no two neighbouring lines have ground positions",
+        mend="look at poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
+    quads = shapely.convex_hull(shapely.multipoints(np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)))
+    bend = 0.5 * float(np.nanmedian(np.concatenate([steps.ravel() for steps in _steps(east, north)])))
+    covered = shapely.simplify(shapely.union_all(quads), bend)
+    target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
+    outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
+    geometry = json.loads(shapely.to_geojson(outline))
+    if crs is None:
+        geometry, _ = cut_at_dateline(geometry)
+    return {
+        "type": "Feature",
+        "geometry": geometry,
+        "properties": {"area": float(covered.area), "lines": int(is_placed.sum()), "crs": target},
+    }
+
+
+@documented()
+def spacing(located: xr.Dataset) -> dict[str, float]:
+    """Return the spacing of the pixels of a located line on the ground (eager).
+
+    Parameters
+    ----------
+    located
+
+    Returns
+    -------
+    dict
+        ``across`` and ``along``: median distance of neighbouring columns and lines [m]; with ``_p05`` and
+        ``_p95`` their 5th and 95th percentiles. ``gsd``: the larger of the medians, the default of maps.
+        ``reversed``: share of the steps from line to line that go back against the flight [1]. ``off_swath``:
+        share of the pixels without a ground position [1].
+
+    Raises
+    ------
+    SchemaError
+        The line is not located, or no two neighbouring pixels are.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.base.attitude_conventions import Convention
+    >>> from hyperpaint.geometry import PinholeCamera, locate
+    >>> pose = dict(longitude=-81.0, altitude=150.0, roll=0.0, pitch=0.0, heading=0.0)
+    >>> line = xr.Dataset({name: ("along_track", np.full(2, value)) for name, value in pose.items()})
+    >>> line = line.assign(latitude=("along_track", [34.0, 34.0001]), cross_track=[0, 1, 2])
+    >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
+    >>> convention = Convention(column_order="left_to_right")
+    >>> located = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> distances = spacing(located)
+    >>> round(distances["across"]), round(distances["along"], 1)  # [m]
+    (100, 11.1)
+    """
+    east, north, _ = _positions(located)
+    distances: dict[str, float] = {}
+    for name, steps in zip(("across", "along"), _steps(east, north), strict=True):
+        finite = steps[np.isfinite(steps)]
+        # a single column or line has no neighbour
+        distances[name] = float(np.median(finite)) if finite.size else np.nan
+        for percent in _PERCENTILES:
+            distances[f"{name}_p{percent:02.0f}"] = (
+                float(np.percentile(finite, percent)) if finite.size else np.nan
+            )
+    SchemaError.raise_if(
+        np.isnan([distances["across"], distances["along"]]).all(),
+        "no two neighbouring pixels have ground positions",
+        mend="look at poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
+    distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
+    # steps from line to line at the middle column, against the mean direction of flight
+    middle_column = east.shape[1] // 2
+    steps = np.stack([np.diff(east[:, middle_column]), np.diff(north[:, middle_column])], axis=-1)
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    distances["reversed"] = float((steps @ steps.mean(axis=0) < 0.0).mean()) if steps.size else np.nan
+    distances["off_swath"] = float(np.isnan(east).mean())
+    return distances
+
+
+def _positions(located: xr.Dataset) -> tuple[Floats, Floats, str]:
+    coordinates = require(located, ["east", "north"], "the outline of a line")
+    crs: Any = coordinates["east"].attrs.get("crs")
+    SchemaError.raise_if(
+        not isinstance(crs, str),
+        "'east' does not declare its map",
+        mend="locate the line with hyperpaint.geometry.locate",
+        code="crs-missing",
+    )
+    east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
+    return np.asarray(east), np.asarray(north), crs
+
+
+def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
+    across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
+    return across, np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))

@@ -26,12 +26,10 @@ from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
 from hyperpaint.regions.pixels_in_regions import ground_of, renumbered
 from hyperpaint.surroundings import SceneModel, survey
-from hyperpaint.surroundings.flags import flag
-from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
-from hyperpaint.surroundings.surveying import to_channels
+from hyperpaint.surroundings.corrections import shadow_side_of, sun_zenith_of
+from hyperpaint.surroundings.surveying import flag, to_channels
 
-from .candidates import Picture, height_model_of, measured, pieces, sunny_lines
-from .cars import Verdict, find_cars, judge_car
+from .cars import Picture, Verdict, find_cars, height_model_of, judge_car, measured, pieces, sunny_lines
 
 #: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))

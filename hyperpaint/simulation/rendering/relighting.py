@@ -92,8 +92,7 @@ from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 from .four_curves import Atmosphere, preset_atmosphere
 from .materials import measured_factor
 from .platforms import Platform
-from .scene import Scene
-from .scene_record import LabelTable, SceneRecord, TraceSettings, label_layers, sun_vectors
+from .scene import LabelTable, Scene, SceneRecord, TraceSettings, label_layers, sun_vectors
 from .scene_spectra import MEASURED, Octaves, Spectrum, is_paint, paint_spec, spectrum_of
 
 # --- tracing -----------------------------------------------------------------------------------------------

@@ -246,7 +246,7 @@ PARSERS: Mapping[str, Parser] = {
             _FORMAT,
             ("heights.tif", "tiled.tif", "heights.asc"),
         ),
-        "scene-toml": (reader("workflows.scene_files:read_scene_file"), _FORMAT, ("scene.toml",)),
+        "scene-toml": (reader("workflows.rendering:read_scene_file"), _FORMAT, ("scene.toml",)),
         "dirsig-ems": (
             reader("io.dirsig:open_emissivity"),
             _FORMAT,
