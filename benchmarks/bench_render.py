@@ -42,8 +42,8 @@ def prepared(samples):
 @functools.cache
 def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
+    from hyperpaint.simulation.atmosphere import preset_atmosphere
     from hyperpaint.simulation.camera import BandResponses, BandSet, smile as shifts
-    from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
     from hyperpaint.simulation.rendering.relighting import factor_spectra, make_lighting
     from hyperpaint.simulation.rendering.scene import SceneRecord
 

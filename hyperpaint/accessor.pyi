@@ -26,8 +26,7 @@ from hyperpaint.pictures.exploring import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
-from hyperpaint.simulation.atmosphere import BrokenClouds
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds
 from hyperpaint.surroundings.model import SceneModel
 
 METHOD_GROUPS: dict[str, dict[str, str]]

@@ -69,10 +69,9 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.atmosphere import BrokenClouds
+    from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds
     from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
 
     light = conditions_of(seed)

@@ -1,10 +1,10 @@
-from .boresight import solve_boresight as solve_boresight
 from .georeference.locating import (
     PinholeCamera as PinholeCamera,
     canonical_navigation as canonical_navigation,
     footprint as footprint,
     interpolate_pose as interpolate_pose,
     locate as locate,
+    solve_boresight as solve_boresight,
     spacing as spacing,
 )
 from .mosaicking.composing import find_tie_points as find_tie_points, mosaic as mosaic, seamlines as seamlines

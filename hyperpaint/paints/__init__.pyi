@@ -6,11 +6,12 @@ from .detection import (
     detect as detect,
     detected_regions as detected_regions,
 )
-from .mixing import (
+from .paint_library import (
     mix_paints as mix_paints,
+    paint_colours as paint_colours,
     sample_paints as sample_paints,
+    search_library as search_library,
     shade_paints as shade_paints,
+    starter_library as starter_library,
 )
-from .mixing.synthetic_paints import starter_library as starter_library
-from .paint_search import paint_colours as paint_colours, search_library as search_library
 from .signatures import extract_signatures as extract_signatures

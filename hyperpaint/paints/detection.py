@@ -34,13 +34,12 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.mixing.synthetic_paints import starter_library
-from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
+from hyperpaint.paints.paint_library import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
 from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.geojson import regions_from
+from hyperpaint.regions.polygons import regions_from
 from hyperpaint.surroundings.corrections import has_split, sky_above, split_of
 
 # --- scores of spectra for paints, and distances from paints: plain arrays, float64 ------------------------

@@ -35,8 +35,7 @@ from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
-from hyperpaint.paints.mixing.synthetic_paints import starter_library
-from hyperpaint.paints.paint_search import search_library
+from hyperpaint.paints.paint_library import search_library, starter_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
 from hyperpaint.radiometry.coarse_lines import coarse
@@ -46,7 +45,7 @@ from hyperpaint.radiometry.spectral_axis import at, bands_at
 from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
 from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
-from hyperpaint.regions.pixels_in_regions import contains, renumbered
+from hyperpaint.regions.polygons import contains, renumbered
 
 from .figures import map_dims, orientation_of
 from .plot import (

@@ -37,6 +37,7 @@ from hyperpaint.base.errors import SchemaError
 
 from .atmosphere import (
     CIE_OVERCAST_SHARE,
+    Atmosphere,
     Light,
     Sky,
     clear_spread,
@@ -47,7 +48,6 @@ from .atmosphere import (
 from .camera import BandSet, Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .rendering.car_parks import car_park
-from .rendering.four_curves import Atmosphere
 from .rendering.materials import reflectance_factor
 from .rendering.platforms import LocalFrame, Platform, Trajectory, TransverseMercator, pixel_edges
 from .rendering.relighting import (

@@ -56,6 +56,7 @@ from hyperpaint.base.errors import (
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares, flags_set_from
+from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
 from hyperpaint.io.envi.envi_cubes import (
     FILE_DIMS,
     EnviArray,
@@ -68,7 +69,7 @@ from hyperpaint.io.envi.envi_cubes import (
 from hyperpaint.io.files.publishing import publish_file, published_folder
 from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, is_complete, open_group
-from hyperpaint.io.store.budget import limited_threads, parse_size
+from hyperpaint.io.store.budget import Demand, limited_threads, parse_size
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
 from hyperpaint.io.store.groups import check_above, groups_above, version_of_program
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
@@ -96,14 +97,10 @@ from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.surroundings.surveying import flag_line
 
-from .collect_check import refuse_findings
-from .laboratory import opened_collect
+from .collect_check import opened_collect, refuse_findings
 
 if TYPE_CHECKING:
     from distributed import Client
-
-    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
-    from hyperpaint.io.store.budget import Demand
 
 
 #: A URL of fsspec, also one that was converted to a `Path`; not the letter of a drive.

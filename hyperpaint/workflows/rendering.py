@@ -86,11 +86,10 @@ from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
-from hyperpaint.simulation.atmosphere import SKY
+from hyperpaint.simulation.atmosphere import PRESETS, SKY, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.camera import BandSet, Camera
 from hyperpaint.simulation.collect import labelled
 from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, car_park, note_car_park_faults
-from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, coat_of_gloss
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom

@@ -23,7 +23,7 @@ from hyperpaint.simulation.rendering.relighting import factor_spectra
 from hyperpaint.simulation.rendering.scene import SceneRecord, sun_vectors
 
 if TYPE_CHECKING:
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.atmosphere import Atmosphere
     from hyperpaint.simulation.rendering.materials import Material
     from hyperpaint.simulation.rendering.scene import Scene
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet, line_shape
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
 from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
 from hyperpaint.simulation.rendering.scene import Instance, Scene, SceneRecord, box, plane

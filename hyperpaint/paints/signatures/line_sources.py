@@ -30,7 +30,7 @@ from hyperpaint.radiometry.spectral_axis import (
 from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
+from hyperpaint.regions.polygons import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import (
     CORRECTIONS,
     has_split,

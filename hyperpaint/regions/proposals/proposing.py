@@ -24,7 +24,7 @@ from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
-from hyperpaint.regions.pixels_in_regions import ground_of, renumbered
+from hyperpaint.regions.polygons import ground_of, renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.corrections import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import flag, to_channels
