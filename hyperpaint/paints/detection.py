@@ -3,8 +3,6 @@
 Reflectance and a paint library come in, detections go out. For pictures, the accessor and the command line.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass

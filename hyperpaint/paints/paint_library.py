@@ -22,8 +22,6 @@ light that meets flakes; ``interference`` is the optical thickness [nm] of the f
 depth of its modulation. The paints are the catalogue of the simulator, and paints of its families.
 """
 
-from __future__ import annotations
-
 import difflib
 import fnmatch
 import functools

@@ -4,8 +4,6 @@
 the widget.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """Pictures of a flight line: spectra with their spread, colours, flags, layers, calibration."""
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap

@@ -10,8 +10,6 @@ flight lines, minus a margin. Lines are processed once and in order, so that mem
 flight.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil

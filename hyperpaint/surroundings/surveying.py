@@ -5,8 +5,6 @@ thresholds. Every pixel is unmixed into the reflectance of its body in the scene
 of sun and sky, plus mirrored sun and sky and the light of coloured neighbours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -3,8 +3,6 @@
 Implausible inputs are listed, refused or warned of.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -26,8 +26,6 @@ The tables of the file, each key with its unit in its name; `EXAMPLE` shows them
     ``product``: "radiance" or "counts"; ``true_reflectance``; ``hold_edges``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

@@ -6,8 +6,6 @@ the line is orthorectified over the tiles of the mosaic that it touches, so that
 Tie points are the same places on the ground in two overlapping lines, found by correlation.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """`propose_regions`: from a flight line to regions of paint, ranked, each with its reasons."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Mapping
