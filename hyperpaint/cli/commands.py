@@ -627,7 +627,7 @@ Examples:
 @settable(
     {
         "workflows.maps:location_of": [],
-        "surroundings.flags:flag": ["glint", "shadow", "adjacency"],
+        "surroundings.surveying:flag": ["glint", "shadow", "adjacency"],
         "paints.signatures.extraction:extract_signatures": ["diffuse", "coat_index"],
     },
     without=["flightline", "ground", "dem"],
@@ -973,7 +973,7 @@ mirrored by clear coat and flakes.""",
 )
 @click.argument("library", metavar="[LIBRARY]", required=False, type=EXISTING)
 @takes(
-    "paints.paint_search:search_library",
+    "paints.paint_library:search_library",
     without=["like"],
     name={"metavar": "TEXT", "help": "Part of the name, or a pattern with * and ?; case is ignored."},
     colour={
@@ -1508,7 +1508,7 @@ Examples:
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @takes(
-    "report.static_site:write_site",
+    "report.store_report:write_site",
     out={"metavar": "DIR", "type": FOLDER},
     library={"type": EXISTING, "help": "Paint library to show as well."},
     link={"metavar": "URL"},

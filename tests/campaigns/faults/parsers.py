@@ -234,7 +234,7 @@ PARSERS: Mapping[str, Parser] = {
             ("panel.csv", "zenith.txt", "falling.csv"),
             ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
         ),
-        "light-table": (reader("simulation.rendering.four_curves:read_table"), _SCHEMA, ("light.csv",)),
+        "light-table": (reader("simulation.atmosphere:read_table"), _SCHEMA, ("light.csv",)),
         "mesh-obj": (_mesh, _SCHEMA, ("box.obj",)),
         "mesh-ply": (_mesh, _SCHEMA, ("box.ply",)),
         "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),

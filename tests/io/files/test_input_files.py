@@ -84,7 +84,7 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
     "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),
     "heights": (_of("io.maps.rasters", "read_heights"), ".tif"),
-    "light table": (_of("simulation.rendering.four_curves", "read_table"), ".csv"),
+    "light table": (_of("simulation.atmosphere", "read_table"), ".csv"),
     **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
        for suffix in (".obj", ".glb", ".ply")},
     **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix)
