@@ -973,7 +973,7 @@ mirrored by clear coat and flakes.""",
 )
 @click.argument("library", metavar="[LIBRARY]", required=False, type=EXISTING)
 @takes(
-    "paints.paint_library:search_library",
+    "paints.paint_libraries:search_library",
     without=["like"],
     name={"metavar": "TEXT", "help": "Part of the name, or a pattern with * and ?; case is ignored."},
     colour={

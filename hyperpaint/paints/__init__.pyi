@@ -6,7 +6,7 @@ from .detection import (
     detect as detect,
     detected_regions as detected_regions,
 )
-from .paint_library import (
+from .paint_libraries import (
     mix_paints as mix_paints,
     paint_colours as paint_colours,
     sample_paints as sample_paints,

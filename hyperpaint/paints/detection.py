@@ -32,7 +32,7 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.paint_library import MIN_BANDS, interpolated, starter_library
+from hyperpaint.paints.paint_libraries import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
 from hyperpaint.radiometry import to_nominal

@@ -33,7 +33,7 @@ from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
-from hyperpaint.paints.paint_library import search_library, starter_library
+from hyperpaint.paints.paint_libraries import search_library, starter_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
 from hyperpaint.radiometry.coarse_lines import coarse

@@ -38,7 +38,7 @@ from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.light.daylight_colours import ciede2000, encode_srgb, lab_of, srgb, srgb_weights
-from hyperpaint.paints.paint_library import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather, summarise
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance

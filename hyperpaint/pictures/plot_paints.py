@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.daylight_colours import srgb
-from hyperpaint.paints.paint_library import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.radiometry.panel_judging import PANEL_STATES

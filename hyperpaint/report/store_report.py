@@ -52,7 +52,7 @@ from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.reader import place_of
 from hyperpaint.light.daylight_colours import srgb_hex
-from hyperpaint.paints.paint_library import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import (
     background,

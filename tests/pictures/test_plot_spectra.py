@@ -20,7 +20,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 from support.refusals import expect_errors, expect_refusals
 
-from hyperpaint.paints.paint_library import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import save_figure
 from hyperpaint.pictures.plot import MAX_PAINTS, library_overview, spectrum, triptych
 

@@ -859,7 +859,7 @@ def mix_paints(
     .. math:: q_{mix} = \sum_i c_i s_i q_i \Big/ \sum_i c_i s_i
 
     (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
-    reflectance through Saunderson's correction, see `hyperpaint.paints.paint_library`. Absorption
+    reflectance through Saunderson's correction, see `hyperpaint.paints.paint_libraries`. Absorption
     dominates: one part of black in nine of white darkens by far more than a tenth. The
     ``specular_reflectance`` of a library is averaged. A band that is NaN in one parent is NaN. Eager.
 
@@ -956,7 +956,7 @@ def shade_paints(
 
     Notes
     -----
-    K/S is multiplied by the depth, see `hyperpaint.paints.paint_library`. Eager.
+    K/S is multiplied by the depth, see `hyperpaint.paints.paint_libraries`. Eager.
 
     Examples
     --------
