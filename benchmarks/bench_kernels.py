@@ -65,17 +65,17 @@ class Calibrate:
         self._run(smile=True, quality=self.no_quality)
 
     def time_linearity(self, lines):
-        from hyperpaint.radiometry.linear_counts import Linearity
+        from hyperpaint.radiometry.stray_light import Linearity
 
         self._run(smile=False, quality=self.quality, linearity=Linearity((1e-6, 1e-11)))
 
     def time_smile_linearity(self, lines):
-        from hyperpaint.radiometry.linear_counts import Linearity
+        from hyperpaint.radiometry.stray_light import Linearity
 
         self._run(smile=True, quality=self.quality, linearity=Linearity((1e-6, 1e-11)))
 
     def time_linearity_of_a_table(self, lines):
-        from hyperpaint.radiometry.linear_counts import Linearity
+        from hyperpaint.radiometry.stray_light import Linearity
 
         nodes = np.linspace(0.0, 65535.0, 17)
         self._run(smile=False, quality=self.quality, linearity=Linearity((), nodes, 1.03 * nodes))

@@ -215,7 +215,7 @@ def counts_store(lines: int, *, smile: bool = False, layout: str = "cube", coars
     path = scratch() / f"counts-{lines}-{layout}{'-smile' if smile else ''}{'-coarse' if coarse else ''}.zarr"
     line = flight_line(lines, smile=smile)
     if coarse:
-        from hyperpaint.radiometry.coarse_lines import coarse_reflectance
+        from hyperpaint.radiometry.pixel_reading import coarse_reflectance
 
         product = line.paint.reflectance()
         line = product.assign(coarse_reflectance=coarse_reflectance(product)).drop_vars("reflectance")

@@ -30,7 +30,7 @@ from .io.library import (
     open_library as open_library,
     write_library as write_library,
 )
-from .io.navigation.navigation_opening import open_navigation as open_navigation
+from .io.navigation.navigation_records import open_navigation as open_navigation
 from .io.spectrometers.asd import open_asd as open_asd
 from .io.spectrometers.irradiance import open_irradiance as open_irradiance
 from .io.spectrometers.svc import open_svc as open_svc

@@ -227,7 +227,7 @@ class PaintAccessor(_Accessor):
         >>> width.paint.quantify().fwhm.pint.to("um").pint.magnitude  # needs pint-xarray
         array([0.006])
         """
-        from .base.units import quantify
+        from .base.facts import quantify
 
         return quantify(self._dataset, registry)
 
@@ -262,7 +262,7 @@ class PaintArrayAccessor(_Accessor):
 
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.DataArray:
         """Return a view for pint-xarray users, a Quantity; see `PaintAccessor.quantify`."""
-        from .base.units import quantify
+        from .base.facts import quantify
 
         quantified: xr.DataArray = self._as_array(quantify(self._dataset, registry))
         return quantified

@@ -15,9 +15,8 @@ import pint
 import xarray as xr
 
 from hyperpaint.alignment.estimation import Window
-from hyperpaint.base.arrays import Progress
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import Progress, Quality
 from hyperpaint.geometry.georeference.locating import Interpolation, PinholeCamera
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt

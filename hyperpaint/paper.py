@@ -6,7 +6,7 @@ the ground instead of the area of the pupil, eq. 5 divides by pi twice, and eq. 
 irradiance instead of dividing. Each equation is a function with a ``variant``, "corrected" (the default) or
 "as_printed". The rest of the package uses the corrected chain.
 
-Arguments are numbers or arrays in the stated units, or Quantities of `hyperpaint.base.units.registry`. If any
+Arguments are numbers or arrays in the stated units, or Quantities of `hyperpaint.base.facts.registry`. If any
 argument is a Quantity, the result is one. Units are propagated, and pi is a solid angle [sr]. Where the
 dimensions of an equation disagree, pint raises ``DimensionalityError``.
 
@@ -40,7 +40,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from .base.units import registry
+from .base.facts import registry
 
 __all__ = [
     "Setup",

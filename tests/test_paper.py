@@ -12,9 +12,9 @@ import pytest
 from support.refusals import expect_error
 
 from hyperpaint import paper
-from hyperpaint.base.units import conversion_factor, registry
+from hyperpaint.base.facts import conversion_factor, registry
 from hyperpaint.paper import Setup, Variant
-from hyperpaint.radiometry.example_pixel import worked_example
+from hyperpaint.radiometry.pixel_reading import worked_example
 
 RADIANCE, IRRADIANCE = 0.40 * 1.30 / np.pi, 1.30
 EXAMPLE = Setup()

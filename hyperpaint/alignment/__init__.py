@@ -7,6 +7,6 @@ differences. Called by users, the accessor, `validation` and `workflows`.
 
 from .comparison import align, apply_alignment, compared
 from .estimation import align_to_irradiance
-from .oxygen import oxygen_depth, oxygen_residual
+from .lamp import oxygen_depth, oxygen_residual
 
 __all__ = ["align", "align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]

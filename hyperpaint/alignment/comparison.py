@@ -17,24 +17,33 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_WAVELENGTH
-from hyperpaint.light.clear_sky import sunlight_table
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_WAVELENGTH,
+    Array,
+    Floats,
+    label,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record
+from hyperpaint.light.sky_functions import sunlight_table
 
 from .lamp import (
     Declared,
     channels_near,
+    mean_over_lines,
+    radiance_of_bands,
     responses_table,
     shares_of_samples,
     smooth_basis,
     variance_of_responses,
 )
-from .oxygen import mean_over_lines, radiance_of_bands
 
 
 @dataclass(frozen=True)
@@ -240,7 +249,7 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
     >>> round(compared(line).shift, 1)  # camera minus record [nm]
     -0.3
     """
-    dataset = schema.rename_to_roles(line)
+    dataset = rename_to_roles(line)
     declared = Declared.by(dataset)
     channels, bands = declared.light.wavelength, declared.wavelength
     is_inside = {(low, high): (bands >= low) & (bands <= high) & declared.good for low, high in rules.windows}
@@ -648,8 +657,8 @@ def _sentence(comparison: Comparison) -> str:
 
 def _corrected(line: xr.Dataset, comparison: Comparison, camera: float) -> xr.Dataset:
     # Return the line with corrected channels of the record; `camera`: share of the camera [nm].
-    dataset = schema.rename_to_roles(line)
-    arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
+    dataset = rename_to_roles(line)
+    arrays = require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
     # the shift is constant beyond the compared bands
     limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
@@ -663,17 +672,17 @@ def _corrected(line: xr.Dataset, comparison: Comparison, camera: float) -> xr.Da
     aligned = (
         without_products(dataset)
         .drop_vars("irradiance_fwhm")
-        .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
+        .assign_coords({IRRADIANCE_WAVELENGTH: label(coordinate, IRRADIANCE_WAVELENGTH)})
     )
     if camera:
         # ``wavelength`` stays, the common axis of all lines; the shift of columns changes
         names = [name for name in ("wavelength_shift",) if name in aligned.variables]
-        declared = schema.require(aligned, names, "the alignment")
+        declared = require(aligned, names, "the alignment")
         zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
         shift = declared.get("wavelength_shift", zero) + camera
         new_shift = xr.DataArray(shift.values, dims=shift.dims)
-        aligned = aligned.assign_coords(wavelength_shift=schema.label(new_shift, "wavelength_shift"))
-    return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))
+        aligned = aligned.assign_coords(wavelength_shift=label(new_shift, "wavelength_shift"))
+    return aligned.assign(irradiance_fwhm=label(widths, "irradiance_fwhm"))
 
 
 # --- wavelengths and width of the irradiance record alone, from solar lines and those of oxygen ------------
@@ -953,8 +962,8 @@ def apply_alignment(
     >>> bool((abs(mended.wavelength_shift - 0.4) < 0.1).all())
     True
     """
-    dataset = schema.rename_to_roles(line)
-    declared = schema.require(
+    dataset = rename_to_roles(line)
+    declared = require(
         dataset,
         ["wavelength", "fwhm", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
         "the alignment",
@@ -1004,7 +1013,7 @@ def apply_alignment(
         )
     order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
     aligned = without_products(dataset).assign_coords(
-        wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
+        wavelength_shift=label(shift.transpose(*order_of_dims), "wavelength_shift")
     )
     sentence = (
         f"wavelength_shift corrected in flight against the irradiance record at {windows.attrs[_WINDOW]}, "
@@ -1012,7 +1021,7 @@ def apply_alignment(
     )
     if fwhm:
         width = xr.DataArray(declared["fwhm"].values * over_bands(factor), dims=BAND)
-        aligned = aligned.assign_coords(fwhm=schema.label(width, "fwhm"))
+        aligned = aligned.assign_coords(fwhm=label(width, "fwhm"))
         sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
     return restated(aligned, sentence)
 

@@ -6,8 +6,6 @@ wavelengths or widths differ from the declared ones. The check is relative to th
 reflectance is.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,21 +14,36 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    VARIABLES,
+    Array,
+    Floats,
+    Ints,
+    Progress,
+    rename_to_roles,
+)
 
-from .lamp import FACTORS, Declared, IrradianceTable, mean_light, smooth_basis, table_of_bands
-from .oxygen import mean_over_lines, radiance_of_bands
+from .lamp import (
+    FACTORS,
+    Declared,
+    IrradianceTable,
+    mean_light,
+    mean_over_lines,
+    radiance_of_bands,
+    smooth_basis,
+    table_of_bands,
+)
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
 
 #: Lower limit of relative residuals, from float32 and matching [1].
 RESIDUAL_FLOOR = 1e-4
-_ITERATIONS = 12
+_FIT_ITERATIONS = 12
 MIN_FREEDOM = 3
 
 
@@ -143,7 +156,7 @@ def fit_columns(
             factor = np.where(is_better, trial_factor, factor)
     # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
     last_step = np.zeros((best.size, 2))
-    for _ in range(_ITERATIONS):
+    for _ in range(_FIT_ITERATIONS):
         tilt = ratio.tilt(tilt, best, factor)
         departure = ratio.departure(tilt, best, factor)
         matrix, vector = ratio.normal_equations(tilt, best, factor, departure)
@@ -420,7 +433,7 @@ def align_to_irradiance(
     >>> bool((abs(found.shift_correction - 0.4) < 0.1).all())
     True
     """
-    dataset = schema.rename_to_roles(line)
+    dataset = rename_to_roles(line)
     problems = Problems("the line cannot be aligned", SchemaError)
     for is_valid, found, expected in (
         (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
@@ -485,7 +498,7 @@ def align_to_irradiance(
         for of_bands, is_inside in zip(departures, inside_windows, strict=True):
             values[is_inside] = of_bands[number]
         report[name] = ((BAND, CROSS_TRACK), values, _attrs_of(name))
-    attrs = schema.VARIABLES["wavelength"].attrs
+    attrs = VARIABLES["wavelength"].attrs
     return report.assign_coords(wavelength=(BAND, declared.wavelength, attrs)).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
@@ -527,8 +540,8 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
 
 def _attrs_of(name: str) -> dict[str, Any]:
     # Return the attributes of a reported variable.
-    if name in schema.VARIABLES:
-        return schema.VARIABLES[name].attrs
+    if name in VARIABLES:
+        return VARIABLES[name].attrs
     units, meaning = _REPORTED[name]
     if name == "flag":
         masks = np.array(list(FLAGS.values()), np.uint8)

@@ -13,11 +13,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from .arrays import Floats
 from .errors import Problems, SchemaError
 from .facts import check_fields, declared, fact, is_number
+from .schema import ArrayLike, Floats
 
 _PREFIX = "convention_"
 
@@ -136,11 +135,11 @@ class Convention:
 
     def canonical(
         self,
-        roll: npt.ArrayLike,
-        pitch: npt.ArrayLike,
-        heading: npt.ArrayLike,
+        roll: ArrayLike,
+        pitch: ArrayLike,
+        heading: ArrayLike,
         *,
-        convergence: npt.ArrayLike | None = None,
+        convergence: ArrayLike | None = None,
     ) -> tuple[Floats, Floats, Floats]:
         """Return canonical roll, pitch (-180 to 180) and heading (0 to 360) [degree].
 
@@ -189,7 +188,7 @@ class Convention:
         # twice: the first mod turns a tiny negative angle into 360
         return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
-    def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
+    def ellipsoidal(self, height: ArrayLike) -> Floats:
         """Return heights above the ellipsoid [m].
 
         Raises
@@ -213,7 +212,7 @@ class Convention:
         """Return the convention with other choices."""
         return replace(self, **changes)
 
-    def _north(self, convergence: npt.ArrayLike | None) -> Floats:
+    def _north(self, convergence: ArrayLike | None) -> Floats:
         # Headings count from this direction, clockwise from true north [degree].
         if self.heading_reference == "true":
             return np.zeros(())

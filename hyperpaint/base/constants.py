@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from .arrays import Floats
+from .schema import Floats
 
 #: A sample within this distance of the largest count of the converter is saturated (DESIGN.md,
 #: `saturated`).

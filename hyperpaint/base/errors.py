@@ -190,7 +190,7 @@ class UnitsError(PaintError, ValueError):
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.base.units import convert
+    >>> from hyperpaint.base.facts import convert
     >>> convert(xr.DataArray(1.0, attrs={"units": "m"}), "s", "exposure_time")
     Traceback (most recent call last):
     hyperpaint.base.errors.UnitsError: 'exposure_time': units 'm' are not convertible to 's'; ...
@@ -410,8 +410,17 @@ class Problems:
     def __iter__(self) -> Iterator[str]:
         return map(str, self._problems)
 
-    def raise_if_any(self) -> None:
-        """Raise one error that lists all problems, if there are any."""
+    def raise_if_any(self, *checks: tuple[object, Problem]) -> None:
+        """Note the problems of checks whose condition is true; raise one error that lists all, if any.
+
+        Examples
+        --------
+        >>> Problems("the map", SchemaError).raise_if_any((0, Problem("no crs")), (1, Problem("no cells")))
+        Traceback (most recent call last):
+        hyperpaint.base.errors.SchemaError: the map:
+          no cells
+        """
+        self.extend(problem for is_fault, problem in checks if is_fault)
         if self._problems:
             raise self._error(self._subject, problems=self._problems)
 

@@ -1,25 +1,557 @@
-"""Facts declared once: name, unit, kind, range, default and meaning of a value.
+"""Facts declared once: name, unit, kind, range, default and meaning of a value; and conversion of units.
 
 From the same declarations come the checks of settings and of TOML files with their messages, the comments of
 templates, the Attributes section of docstrings and the tables of keys in the documentation.
+
+Units are CF text in ``attrs``, and pint at the boundary. The registry is private. Its steradian, count and
+electron are dimensions: a forgotten ``pi sr`` between radiance and irradiance is then an error, where pint's
+own registry, like UDUNITS, lets it pass. No Quantity ever enters an array, a graph or a store:
+`takes_quantities` and `plain` turn those of any registry into numbers with text beside them as they come in.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
+import functools
 import inspect
 import re
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from .errors import PaintError, Problems, SchemaError
-from .units import takes_quantities
+from .errors import PaintError, Problems, SchemaError, UnitsError, needs_extra
+from .old_names import with_new_names
+
+if TYPE_CHECKING:
+    import pint
+
+
+_Public = TypeVar("_Public", bound=Callable[..., Any])
+
+_DEFINITIONS = """
+nano- = 1e-9 = n-
+micro- = 1e-6 = u- = µ- = μ-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+deci- = 1e-1 = d-
+hecto- = 1e2 = h-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+giga- = 1e9 = G-
+meter = [length] = m = metre
+second = [time] = s = sec
+gram = [mass] = g
+kelvin = [temperature] = K
+steradian = [solid_angle] = sr
+count = [count] = _ = counts = digital_number = digital_numbers = DN = dn = adu = ADU = ct
+electron = [electron_count] = _ = electrons
+radian = [] = rad
+degree = 0.017453292519943295 = deg = degrees = arcdegree
+percent = 0.01
+permille = 0.001
+minute = 60 * second = min
+hour = 60 * minute = h = hr
+day = 24 * hour = d
+hertz = 1 / second = Hz
+newton = kilogram * meter / second ** 2 = N
+joule = newton * meter = J
+watt = joule / second = W
+angstrom = 1e-10 * meter = Å
+micron = 1e-6 * meter
+foot = 0.3048 * meter = ft = feet
+survey_foot = 1200 / 3937 * meter = ftUS = survey_feet = US_survey_foot
+flick = 1e10 * watt / steradian / meter ** 3
+"""
+
+# m-2 -> m**-2, but neither 1e-3 nor nm_2 is touched
+_CF_POWER = re.compile(r"(?<![0-9.A-Za-z_µμ])([A-Za-zµμ]+)\^?(-?[0-9]+)\b")
+# the dot of UDUNITS between units, as in W.m-2; not that of 1.e-3
+_DOT = re.compile(r"([A-Za-zµμ]-?[0-9]*)\.(?=[A-Za-zµμ])")
+# ENVI writes words where CF writes symbols
+_WORDS = {
+    "nanometers": "nm",
+    "nanometres": "nm",
+    "nanometer": "nm",
+    "micrometers": "um",
+    "micrometres": "um",
+    "micrometer": "um",
+    "microns": "um",
+    "millimeters": "mm",
+    "centimeters": "cm",
+    "meters": "m",
+    "metres": "m",
+    "watt": "W",
+    "mwatt": "mW",
+    "uwatt": "uW",
+    "us survey foot": "survey_foot",
+    "us survey feet": "survey_foot",
+    "us-ft": "survey_foot",
+    "%": "percent",
+    "unitless": "1",
+}
+#: Factors of common units in headers; they save the import of pint, which takes 0.1 s.
+_USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}
+_CF_SPELLING = "CF spelling such as 'W m-2 sr-1 nm-1'"
+# powers allowed for pint: a name or number, raised to a literal of one or two digits; no power of a power
+_POWER = re.compile(r"(?:\*\*|\^)")
+_SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.]|\s*\*\*|\s*\^)")
+# superscript digits: pint would expand them to powers after the check above
+_RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+_LOWERED = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
+# pint's parser skips unknown characters, such as a question mark
+_READABLE = re.compile(r"[A-Za-z0-9µμ°ÅÅ%_*/^()+\-.\s]*")
+_WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
+
+
+def _plain_powers(text: str) -> str:
+    # Superscript digits become powers, which are checked later, and dots become spaces.
+    text = _DOT.sub(r"\1 ", text.replace("·", " "))
+    return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
+
+
+def _spell_for_pint(text: str) -> str:
+    text = _WORD.sub(lambda match: _WORDS[match[0].lower()], text)
+    return _CF_POWER.sub(r"\1**\2", _plain_powers(text))
+
+
+@functools.cache
+def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
+    # Return hyperpaint's private unit registry.
+    #
+    # It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
+    # scale (``1e-10 W cm-2 nm-1 sr-1``). It never becomes pint's application registry. Only pint-xarray needs
+    # ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
+    import pint
+
+    units: pint.UnitRegistry[Any] = pint.UnitRegistry(
+        None, preprocessors=[_spell_for_pint], force_ndarray_like=force_ndarray_like
+    )
+    for line in _DEFINITIONS.strip().splitlines():
+        units.define(line)
+    for suffix in ("_north", "N", "_N", "_east", "E", "_E", "_true"):  # CF's latitude, longitude, heading
+        units.define(f"@alias degree = degree{suffix} = degrees{suffix}")
+    return units
+
+
+def _quantity(text: object) -> Any:
+    if not isinstance(text, str):
+        raise UnitsError(f"units {text!r:.60}", expected=_CF_SPELLING, code="type-wrong")
+    # pint evaluates powers: 9**9**9 or s1000000000000 would never return
+    text = _plain_powers(text[:201])
+    is_huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
+    is_unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
+    UnitsError.raise_if(
+        len(text) > 200 or is_huge or is_unsafe or not _READABLE.fullmatch(text),
+        f"units {text[:60]!r} cannot be read",
+        expected=_CF_SPELLING,
+        code="units-unreadable",
+    )
+    return _parse(text.strip() or "1")
+
+
+@functools.lru_cache(maxsize=1024)
+def _parse(text: str) -> Any:
+    units = registry()
+    try:
+        quantity = units.Quantity(1.0, "") * units.parse_expression(text)
+        if not 0.0 < quantity.to_base_units().magnitude < float("inf"):
+            raise ValueError
+        return quantity
+    except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
+        raise UnitsError(
+            f"units {text!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
+        ) from error
+
+
+def conversion_factor(found: str, wanted: str) -> float:
+    """Return the number that turns a value in ``found`` into one in ``wanted``.
+
+    Parameters
+    ----------
+    found, wanted
+        Units in CF spelling; ``found`` may carry a scale.
+
+    Raises
+    ------
+    UnitsError
+        A unit cannot be read, or the two have different dimensions.
+
+    Examples
+    --------
+    >>> conversion_factor("uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
+    0.01
+    >>> conversion_factor("W m-2 sr-1 nm-1", "W m-2 nm-1")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.UnitsError: units 'W m-2 sr-1 nm-1' are not convertible to 'W m-2 nm-1'; ...
+    """
+    if found == wanted:
+        return 1.0
+    if (found, wanted) in _USUAL_FACTORS:
+        return _USUAL_FACTORS[found, wanted]
+    source, target = _quantity(found), _quantity(wanted)
+    UnitsError.raise_if(
+        source.dimensionality != target.dimensionality,
+        f"units {found!r} are not convertible to {wanted!r}",
+        mend="check the quantity, and whether a solid angle (sr) or an exposure (s) is missing",
+        code="units-not-convertible",
+    )
+    # twelve digits: the factor of a decimal unit is then the decimal number itself
+    return float(f"{(source / target).to_base_units().magnitude:.12g}")
+
+
+def same_dimension(found: str, wanted: str) -> bool:
+    # Return whether two unit texts have the same dimension; False where one cannot be read.
+    try:
+        return bool(_quantity(found).dimensionality == _quantity(wanted).dimensionality)
+    except UnitsError:
+        return False
+
+
+def is_unit(text: str) -> bool:
+    # Return whether the brackets of a heading hold a unit, not a label such as ``8/h`` or ``N``.
+    # a single letter is usually a symbol, and a unit does not begin with a number
+    plain_text = text if len(text) > 1 else {"s": "s", "K": "K", "m": "m", "°": "degree"}.get(text, "")
+    return bool(plain_text) and not plain_text[0].isdigit() and same_dimension(plain_text, plain_text)
+
+
+def canonical(text: str) -> str:
+    # Return ``text`` if it can be read as units, else raise UnitsError.
+    _quantity(text)
+    return text
+
+
+def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.DataArray:
+    """Return ``array`` in the units ``wanted``, lazily; floats keep their dtype, integers may become floats.
+
+    Parameters
+    ----------
+    array
+        Labelled values with a ``units`` attribute, or Quantities, whose own unit counts.
+    wanted
+        Units in CF spelling.
+    name
+        Name of the array in messages; by default its own.
+
+    Raises
+    ------
+    UnitsError
+        The ``units`` attribute is missing, unreadable, or of another dimension.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> width = xr.DataArray([0.006], dims="band", attrs={"units": "um"}, name="fwhm")
+    >>> convert(width, "nm").values
+    array([6.])
+    """
+    array = plain(array)
+    name = name or str(array.name)
+    units = array.attrs.get("units")
+    if units is None:
+        raise UnitsError(
+            f"{name!r} has no units",
+            mend=f"set {name}.attrs['units'], for example to {wanted!r}",
+            code="units-missing",
+        )
+    try:
+        factor = conversion_factor(str(units), wanted)
+    except UnitsError as error:
+        raise error.about(repr(name)) from error
+    if factor != 1.0:
+        # an integer factor of 0.001 would be 0
+        kind = np.result_type(array.dtype, np.float16 if array.dtype.kind == "f" else np.float32)
+        array = array.copy(data=array.data * kind.type(factor))
+    return array.assign_attrs(units=wanted)
+
+
+# --- Quantities of any registry ----------------------------------------------------------------------------
+
+
+def _is_quantity(value: object) -> bool:
+    # A Quantity of pint, astropy or unyt.
+    if isinstance(value, xr.DataArray):  # its attributes can have these names
+        return False
+    is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
+    return is_pint or (hasattr(value, "to_value") and (hasattr(value, "unit") or hasattr(value, "units")))
+
+
+def _magnitude(quantity: Any) -> Any:
+    number = quantity.magnitude if hasattr(quantity, "magnitude") else quantity.value
+    return number.item() if isinstance(number, np.ndarray) and number.ndim == 0 else number
+
+
+def _unit_text(quantity: Any) -> str:
+    # Symbols differ between registries, so parts are read by their full names; a part that our registry does
+    # not define is resolved by the registry of the Quantity.
+    if not hasattr(quantity, "unit_items"):  # astropy and unyt
+        return str(getattr(quantity, "unit", None) or quantity.units)
+    scale, powers = 1.0, []
+    for name, power in quantity.unit_items():
+        parts = [(name, 1)]
+        if not same_dimension(name, name):
+            scale_unit, offset_unit = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
+            UnitsError.raise_if(
+                offset_unit.magnitude,
+                f"units {name!r} have an offset zero",
+                expected="multiples of a unit",
+                code="units-offset",
+            )
+            scale *= scale_unit.magnitude**power
+            parts = list(scale_unit.unit_items())
+        powers += [(_symbol(part), exponent * power) for part, exponent in parts]
+    text = " ".join(symbol if power == 1 else f"{symbol}{power:g}" for symbol, power in powers)
+    return f"{scale:.15g} {text}".strip() if scale != 1.0 else text or "1"
+
+
+def _symbol(name: str) -> str:
+    try:
+        return str(registry().get_symbol(name))
+    except Exception:  # pint's own class; the parser then refuses the text
+        return name
+
+
+def plain(labelled: Any) -> Any:
+    """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
+
+    The unit of a Quantity replaces the attribute, and the attributes ``scale_factor`` and ``add_offset`` are
+    applied. Objects without a Quantity are returned unchanged; nothing
+    is computed. Variables of paint libraries of hyperpaint 0.2 are renamed (`with_new_names`).
+
+    Raises
+    ------
+    UnitsError
+        A unit cannot be written in CF spelling, or Quantities are inside the blocks of a dask array.
+
+    Examples
+    --------
+    >>> import pint, xarray as xr
+    >>> width = xr.DataArray(pint.Quantity([6.0, 7.0], "nm"), dims="band", attrs={"units": "um"})
+    >>> plain(width).attrs, plain(width).values
+    ({'units': 'nm'}, array([6., 7.]))
+    """
+    if isinstance(labelled, xr.DataTree):
+        datasets = {path: node.to_dataset(inherit=False) for path, node in labelled.subtree_with_keys}
+        numbers = {path: plain(dataset) for path, dataset in datasets.items()}
+        changed = any(numbers[path] is not dataset for path, dataset in datasets.items())
+        return xr.DataTree.from_dict(numbers, name=labelled.name) if changed else labelled
+    labelled = with_new_names(labelled)
+    # the public `data` would read a lazily opened variable
+    variables = labelled.variables if isinstance(labelled, xr.Dataset) else labelled.coords.variables
+    arrays = {name: variable._data for name, variable in variables.items()}
+    array_values = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
+    for name, data in [*arrays.items(), (getattr(labelled, "name", None), array_values)]:
+        UnitsError.raise_if(
+            _is_quantity(getattr(data, "_meta", None)),
+            f"{name!r} is a dask array of Quantities",
+            mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
+            code="array-foreign",
+        )
+    if _is_quantity(array_values):
+        labelled = labelled.copy(data=_magnitude(array_values)).assign_attrs(units=_unit_text(array_values))
+    labelled = _unpacked(labelled)
+    coords = {name: data for name, data in arrays.items() if _is_quantity(data)}
+    if not coords:
+        return labelled
+    values = {
+        name: (variables[name].dims, _magnitude(data), {**variables[name].attrs, "units": _unit_text(data)})
+        for name, data in coords.items()
+    }
+    return labelled.assign(values) if isinstance(labelled, xr.Dataset) else labelled.assign_coords(values)
+
+
+_PACKING = ("scale_factor", "add_offset")
+
+
+def _unpacked(labelled: Any) -> Any:
+    # Apply, lazily, what a reader without mask_and_scale left in the attributes of a dataset or array
+    is_dataset = isinstance(labelled, xr.Dataset)
+    variables = labelled.variables if is_dataset else {labelled.name: labelled.variable}
+    values = {}
+    for name, variable in variables.items():
+        # a mark of missing values alone: integers keep their type, as counts and flags have to
+        is_marked = variable.dtype.kind == "f" and (
+            "_FillValue" in variable.attrs or "nodata" in variable.attrs
+        )
+        if not is_marked and not any(key in variable.attrs for key in _PACKING):
+            continue
+        attrs = dict(variable.attrs)
+        for key in _PACKING:
+            number = attrs.get(key, 1.0)
+            is_number = isinstance(number, (int, float, np.number)) and np.isfinite(number)
+            UnitsError.raise_if(
+                not is_number or (key == "scale_factor" and number == 0),
+                f"{name!r} has the attribute {key} {number!r:.40}",
+                expected="a finite number, no scale of 0",
+                mend="open the file with mask_and_scale=True",
+                code="scale-wrong",
+            )
+        if "nodata" in attrs:
+            attrs.setdefault("_FillValue", attrs.pop("nodata"))
+        packed = xr.Variable(variable.dims, variable._data, attrs, fastpath=True)
+        values[name] = xr.conventions.decode_cf_variable(str(name), packed, decode_times=False)
+        values[name].encoding = variable.encoding
+    if not values:
+        return labelled
+    return labelled.assign(values) if is_dataset else labelled._replace(variable=values[labelled.name])
+
+
+def in_units(value: Any, wanted: str, name: str) -> Any:
+    """Return an argument as plain numbers in the units ``wanted``.
+
+    Parameters
+    ----------
+    value
+        Plain numbers, which are in these units already and are returned unchanged; a Quantity of any
+        registry; a DataArray, which needs units unless ``wanted`` is 1; a timedelta; or a sequence of these.
+    wanted
+        Units in CF spelling.
+    name
+        Name of the argument in messages.
+
+    Raises
+    ------
+    UnitsError
+        The unit is missing, unreadable, or of another dimension.
+
+    Examples
+    --------
+    >>> import pint
+    >>> in_units(pint.Quantity(525, "ft"), "m", "ground"), in_units(160.02, "m", "ground")
+    (160.02, 160.02)
+    """
+    if isinstance(value, xr.DataArray):
+        value = plain(value)
+        return value if wanted == "1" and "units" not in value.attrs else convert(value, wanted, name)
+    if isinstance(value, list | tuple):  # nested to any depth; the decorated function refuses text
+        numbers = [item if isinstance(item, str) else in_units(item, wanted, name) for item in value]
+        changed = any(number is not item for number, item in zip(numbers, value, strict=True))
+        return type(value)(numbers) if changed else value
+    if isinstance(value, str) or (hasattr(value, "dimensionality") and not _is_quantity(value)):
+        raise UnitsError(
+            f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity", code="type-wrong"
+        )
+    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
+    if not (is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)):
+        return value
+    try:
+        number, factor = (
+            (_magnitude(value), conversion_factor(_unit_text(value), wanted))
+            if _is_quantity(value)
+            else (value / np.timedelta64(1, "s"), conversion_factor("s", wanted))
+        )
+    except UnitsError as error:
+        raise error.about(name) from error
+    return number if factor == 1.0 else number * factor
+
+
+def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
+    """Return a decorator that converts pint quantities in the arguments of a function or dataclass.
+
+    Quantities in datasets become numbers with a ``units`` attribute (`plain`), arguments numbers in ``units``
+    (`in_units`); an argument without an entry in ``units`` is a pure number.
+
+    Examples
+    --------
+    >>> import pint
+    >>> @takes_quantities(ground="m")
+    ... def height(ground: float, share: float = 0.0) -> tuple[float, float]:
+    ...     return ground, share
+    >>> height(pint.Quantity(2.0, "km"), share=pint.Quantity(50.0, "percent"))
+    (2000.0, 0.5)
+    >>> height(pint.Quantity(2.0, "s"))
+    Traceback (most recent call last):
+    hyperpaint.base.errors.UnitsError: ground: units 's' are not convertible to 'm'; ...
+    """
+
+    def decorated(target: Any) -> Any:
+        function = vars(target)["__init__"] if isinstance(target, type) else target
+        names = list(inspect.signature(function).parameters)
+
+        def number(value: Any, name: str) -> Any:
+            # a class lists all faults of its fields, text among them
+            is_field = isinstance(target, type) and isinstance(value, str)
+            return value if is_field else _number(value, units, name)
+
+        @functools.wraps(function)
+        def with_numbers(*arguments: Any, **options: Any) -> Any:
+            numbers = [number(value, name) for name, value in zip(names, arguments, strict=False)]
+            numbers += arguments[len(names) :]  # the function refuses surplus arguments
+            return function(*numbers, **{name: number(value, name) for name, value in options.items()})
+
+        if not isinstance(target, type):
+            return with_numbers
+        setattr(target, "__init__", with_numbers)  # noqa: B010 (mypy takes a plain assignment for unsound)
+        return target
+
+    return decorated
+
+
+def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
+    if name in units:
+        return in_units(value, units[name], name)
+    if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):
+        return plain(value)
+    if isinstance(value, Mapping):
+        numbers = {key: _number(item, units, str(key)) for key, item in value.items()}
+        return numbers if any(numbers[key] is not item for key, item in value.items()) else value
+    if isinstance(value, list | tuple):
+        members = [_number(item, units, name) for item in value]
+        return type(value)(members) if any(a is not b for a, b in zip(members, value, strict=True)) else value
+    return in_units(value, "1", name) if _is_quantity(value) else value
+
+
+# --- a view in Quantities ----------------------------------------------------------------------------------
+
+
+def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
+    # Return ``dataset`` with its data variables as pint Quantities of a registry, hyperpaint's by default.
+    #
+    # Raises `MissingExtraError`: pint-xarray is not installed. Raises `UnitsError`: Units cannot be read,
+    # carry a scale, which the unit of a Quantity cannot, or are unknown to the registry; all are listed.
+    with needs_extra("pint-xarray", "units", "a Quantity view"):
+        import pint_xarray  # noqa: F401
+
+    units = units or registry(force_ndarray_like=True)
+    UnitsError.raise_if(
+        not (units.force_ndarray_like or units.force_ndarray),
+        "the registry turns 0-d arrays into plain numbers",
+        mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
+        code="registry-scalars",
+    )
+    problems = Problems("a Quantity view cannot be made", UnitsError)
+    unit_of = {}
+    dataset = plain(dataset)
+    for name, array in dataset.data_vars.items():
+        if "units" not in array.attrs or array.dtype.kind not in "fiu":
+            continue
+        text = array.attrs["units"]
+        try:
+            full_names = f"{registry().Unit(_spell_for_pint(canonical(text))):C}"
+        except Exception:  # pint leaks its own classes
+            problems.add(
+                f"{str(name)!r} has units {text!r}",
+                expected="CF spelling without a scale",
+                code="units-unreadable",
+            )
+            continue
+        try:
+            unit_of[name] = units.Unit(full_names)
+        except Exception as error:
+            problems.add(
+                f"{str(name)!r} has units {text!r}; {error!s:.100}",
+                mend="define it, as by registry.define('electron = [electron_count]'), or drop the variable",
+                code="units-unknown",
+            )
+    problems.raise_if_any()
+    # coordinates stay plain: xarray cannot select by an index of Quantities
+    variables = dataset[list(unit_of)].drop_vars(dataset.coords, errors="ignore")
+    return dataset.assign(variables.pint.quantify(unit_of, unit_registry=units).data_vars)
+
 
 #: Smallest magnitude that counts as infinite.
 MAX_NUMBER = 1e300

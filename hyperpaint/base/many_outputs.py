@@ -11,7 +11,7 @@ import dask.array as da
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import Array
+from .schema import Array
 
 Key = TypeVar("Key", bound=Hashable)
 

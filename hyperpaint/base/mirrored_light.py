@@ -3,8 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from .arrays import Bools, Floats
 from .facts import one_of
+from .schema import Bools, Floats
 
 #: Values of the attribute ``mirror_reflection``.
 INCLUDED, EXCLUDED = "included", "excluded"

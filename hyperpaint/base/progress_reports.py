@@ -3,7 +3,7 @@
 import sys
 from typing import overload
 
-from .arrays import Progress
+from .schema import Progress
 
 _BAR_CHARACTERS = 40
 

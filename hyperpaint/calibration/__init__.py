@@ -12,8 +12,7 @@ from .anchors import (
     etendue_from_pupil,
     panel_radiance,
 )
-from .calibrating import calibrate
-from .calibration_dataset import quantum_efficiency, relative_responsivity
+from .calibration_dataset import calibrate, quantum_efficiency, relative_responsivity
 from .detector import dark_at, dark_model, flat_field, linearity
 
 __all__ = [

@@ -1,20 +1,16 @@
 """Absolute anchors: one gain for every element, from optics, a known source or a vendor's coefficients."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
-from hyperpaint.base.units import convert, same_dimension, takes_quantities
+from hyperpaint.base.facts import convert, one_of, same_dimension, takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, Floats, label, require
 from hyperpaint.light.responses import Responses, log_slope
-from hyperpaint.radiometry.linear_counts import linearity_of
+from hyperpaint.radiometry.stray_light import linearity_of
 
 from .detector import row_medians
 
@@ -188,7 +184,7 @@ def anchor_to_radiance(
 
     Examples
     --------
-    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> from hyperpaint.radiometry.pixel_reading import worked_example
     >>> line = worked_example()
     >>> frames = line[["counts", "dark_counts", "exposure_time"]]
     >>> nm = xr.DataArray([400.0, 700.0], dims="wavelength", attrs={"units": "nm"})

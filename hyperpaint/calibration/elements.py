@@ -11,17 +11,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import warn_user
-from hyperpaint.base.schema import STEP
+from hyperpaint.base.schema import STEP, Bools, Floats
 from hyperpaint.kernels.arguments import LineSamples
 from hyperpaint.kernels.line_fits import AREA, CENTRE, WIDTH, profiles
-from hyperpaint.radiometry.linear_counts import Linearity
-from hyperpaint.radiometry.stray_light import smear_of
+from hyperpaint.radiometry.stray_light import Linearity, smear_of
 
-from .detector import row_medians
-from .lab_sweep import LabSweep, listed, refused
+from .detector import LabSweep, listed, refused, row_medians
 from .line_fits import (
     SHAPES,
     Fits,

@@ -7,12 +7,11 @@ over columns, it shows the profile of the beam, which is not a property of the c
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ArrayLike, Bools, Floats, Ints
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
     AREA,
@@ -352,18 +351,18 @@ class WavelengthMap:
     lit: tuple[int, int]
     residual: float  #: Robust standard deviation of the lines about the surface [nm]
 
-    def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
+    def at(self, band: ArrayLike, column: ArrayLike) -> Floats:
         # Return the wavelength at fractional bands and columns [nm].
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         return np.asarray(chebyshev.chebval2d(u, v, self.coefficients))
 
-    def spacing(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
+    def spacing(self, band: ArrayLike, column: ArrayLike) -> Floats:
         # Return ``|d wavelength / d band|`` [nm].
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
         return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
 
-    def band_of(self, wavelength: float | Floats, column: npt.NDArray[np.int64]) -> Floats:
+    def band_of(self, wavelength: float | Floats, column: Ints) -> Floats:
         # Return the fractional bands of wavelengths [nm] in some columns, to a little beyond the array.
         shape = np.broadcast_shapes(np.shape(wavelength), column.shape)
         low, high = np.full(shape, -0.05 * self.bands - 2.0), np.full(shape, 1.05 * self.bands + 1.0)

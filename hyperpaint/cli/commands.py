@@ -363,7 +363,7 @@ A collect.toml can also name the sweep itself:
     help="The calibration.  [default: calibration.zarr beside SWEEP.zarr]",
 )
 @takes(
-    "calibration.calibrating:calibrate",
+    "calibration.calibration_dataset:calibrate",
     only=[
         "srf_shape",
         "flux_uncertainty",

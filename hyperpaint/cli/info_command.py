@@ -118,7 +118,7 @@ def _envi(path: Path) -> Facts:
 
 def _geotiff(path: Path) -> Facts:
 
-    from hyperpaint.io.maps.geotiff import read_geotiff_header
+    from hyperpaint.io.maps.map_grids import read_geotiff_header
 
     header = read_geotiff_header(path)
     (rows, cols), unlocated = header.shape, [("crs", "unknown, as is its location")]
@@ -320,7 +320,7 @@ def _is_pose_table(path: Path) -> bool:
 
 def _poses(path: Path) -> Facts:
 
-    from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
+    from hyperpaint.io.navigation.navigation_records import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":

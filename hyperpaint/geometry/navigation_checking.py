@@ -10,8 +10,6 @@ lines varies much more with the ground than with the light. But from one line to
 nearly the same ground, so that the median change over columns is the change of the light.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +20,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import (
     MID_EXPOSURE_OFFSETS,
@@ -30,16 +27,19 @@ from hyperpaint.base.constants import (
     WGS84_SEMI_MAJOR_AXIS_M,
 )
 from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError, UnitsError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import conversion_factor, documented, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
     require,
 )
-from hyperpaint.base.units import conversion_factor, takes_quantities
 from hyperpaint.geometry.georeference.locating import (
     ANGLES,
     LOCATION_UNITS,

@@ -4,7 +4,7 @@ from .envi.envi_cubes import EnviParser as EnviParser
 from .flightline.calibration_store import open_sweep as open_sweep
 from .flightline.line_table import write_line_table as write_line_table
 from .library.library_formats import check_library as check_library, declare_library as declare_library
-from .maps.geotiff import write_geotiff as write_geotiff
+from .maps.map_grids import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
 from .skies import (
     read_sixs as read_sixs,

@@ -3,8 +3,6 @@
 Columns, marks and words of each format stand in tables above its reader.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -14,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.units import conversion_factor, takes_quantities
+from hyperpaint.base.facts import conversion_factor, takes_quantities
+from hyperpaint.base.schema import Floats
 from hyperpaint.io.files.reading import number, numbers, read_limited_text, refuse
 
 # Largest file of a sky model [byte].
@@ -79,7 +77,7 @@ def sky_dataset(
     arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
-    checks = (
+    problems.raise_if_any(
         (
             wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all(),
             Problem(
@@ -104,8 +102,6 @@ def sky_dataset(
             Problem("directions of the sky have angles that are not finite", code="not-finite"),
         ),
     )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    problems.raise_if_any()
     light = xr.Dataset(
         {name: ("wavelength", arrays[name][order], {"units": _IRRADIANCE}) for name in list(arrays)[:2]},
         {"wavelength": ("wavelength", wavelength[order], {"units": "nm"})},
@@ -176,7 +172,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         if ragged_rows
         else "no row below the headings"
     )
-    checks = (
+    problems.raise_if_any(
         (missing, Problem(f"columns {missing} are missing, found {names}", code="column-missing")),
         (
             len(set(names)) < len(names),
@@ -187,8 +183,6 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
             Problem(found, expected=f"rows of {len(names)}", code="length-mismatch"),
         ),
     )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    problems.raise_if_any()
     try:
         table = np.array(rows[1:], np.float64)
         factors = [

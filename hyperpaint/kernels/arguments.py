@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.schema import Array
 
 Group = TypeVar("Group", bound=tuple[Any, ...])
 
@@ -282,7 +282,7 @@ class Raster(NamedTuple):
     highest: float
 
 
-# --- maps: `hyperpaint.kernels.inverse_map` and `hyperpaint.kernels.inverse_map`
+# --- maps: `hyperpaint.kernels.rays` and `hyperpaint.kernels.rays`
 
 
 # Map coordinates of the pixels of lines, and of the line before them.
@@ -305,7 +305,7 @@ class MapCells(NamedTuple):
     frame: Array
     corner: tuple[int, int]  #: Row and column of the tile's first cell on the map
     longest: float  #: Longest edge of a patch; longer ones are gaps [cell]
-    rule: int  #: `NADIR`, `FIRST` or `LAST` of `hyperpaint.kernels.inverse_map`
+    rule: int  #: `NADIR`, `FIRST` or `LAST` of `hyperpaint.kernels.rays`
 
 
 # Output arrays of `invert_lines` for a tile.

@@ -3,29 +3,350 @@
 Rows are short functions, compiled into the loop over lines and bands of `calibrate_slab`. A band's values are
 computed in one loop; flags and uncertainties follow while its counts are in the cache. Division and rounding
 are IEEE single precision throughout, so the bits do not depend on the number of lines in a slab.
+
+Linearity correction of counts, a row of columns at a time.
+
+Random and systematic uncertainty of every sample.
+
+Stray light and smear subtracted from calibrated lines.
+
+Both are sums over all bands of a column. Every line is therefore linearised again before the sums.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
+from hyperpaint.base.schema import Array
 
 from .arguments import (
     Calibration,
     CountLimits,
+    DetectorModel,
     ErrorTerms,
     FixedFlags,
     LightCells,
     LineCounts,
     Rounding,
     SlabOutputs,
+    StrayLight,
 )
-from .linear_counts import linear_memory, rounded, signal_of, signal_row, straighten_dark
-from .sample_errors import ErrorMemory, propagate_band
 
 _NAN = np.float32(np.nan)
+_NOTHING = np.float32(0.0)
+_ONE_F32 = np.float32(1.0)
+_ONE = np.uint32(1)
+
+
+# --- linearity ---------------------------------------------------------------------------------------------
+
+
+# Buffers of a line whose counts are linearised.
+class LinearMemory(NamedTuple):
+    #: (band, column) float32: dark of the line, linearised where the detector's curve is of raw counts
+    dark: Array
+    signal: Array  #: (column,) float32: linear counts above dark of the current band
+    #: node (column,) int32, part (column,) float32: integer and fraction of the position of counts in a table
+    node: Array
+    part: Array
+
+
+@kernel
+def linear_memory(
+    polynomial: Array | None, table: Array | None, bands: int, columns: int
+) -> LinearMemory | None:
+    # Return buffers for a linearity curve; None without a curve.
+    if polynomial is None and table is None:
+        return None
+    return LinearMemory(
+        np.empty((bands, columns), np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.int32),
+        np.empty(columns, np.float32),
+    )
+
+
+@kernel
+def signal_of(linear: LinearMemory | None) -> Array | None:
+    if linear is None:
+        return None
+    return linear.signal
+
+
+@borrowing_kernel
+def polynomial_row(polynomial: Array | None, counts: Array) -> None:
+    # Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5.
+    if polynomial is not None:
+        a2, a3, a4, a5 = polynomial[0], polynomial[1], polynomial[2], polynomial[3]
+        for x in range(counts.size):
+            c = counts[x]
+            counts[x] = c + c * (c * (a2 + c * (a3 + c * (a4 + c * a5))))
+
+
+@borrowing_kernel
+def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory, counts: Array) -> None:
+    # Linearise counts (column,) in place by a table of corrections.
+    #
+    # The table is linear between nodes, and extrapolated from the two outermost nodes. Node numbers are
+    # computed in a separate loop, because look-ups do not vectorise.
+    if table is not None:
+        node, part = memory.node, memory.part
+        last = np.float32(table.size - 2)
+        for x in range(counts.size):
+            position = (counts[x] - detector.first_node) * detector.nodes_per_count
+            # false for NaN, whose conversion to an integer is undefined
+            clipped = min(position, last) if position > _NOTHING else _NOTHING
+            node[x] = np.int32(clipped)
+            part[x] = position - np.float32(node[x])
+        for x in range(counts.size):
+            correction = table[np.uint32(node[x])]
+            part[x] = correction + part[x] * (table[np.uint32(node[x]) + _ONE] - correction)
+        for x in range(counts.size):
+            counts[x] = counts[x] + part[x]
+
+
+@borrowing_kernel
+def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory | None) -> None:
+    # Write the dark (band, column) of a line, linearised where the detector's curve is of raw counts.
+    if linear is not None:
+        for band in range(dark.shape[0]):
+            for x in range(dark.shape[1]):
+                linear.dark[band, x] = dark[band, x]
+            if detector.on_raw:
+                table_row(detector, detector.table, linear, linear.dark[band])
+                polynomial_row(detector.polynomial, linear.dark[band])
+
+
+@inlined_kernel
+def signal_row(
+    counts: Array, detector: DetectorModel, linear: LinearMemory | None, line_and_band: tuple[Any, Any]
+) -> None:
+    # Write the linear counts above dark of ``line_and_band`` to the buffer.
+    if linear is not None:
+        line, band = line_and_band
+        signal, dark = linear.signal, linear.dark[band]
+        for x in range(signal.size):
+            signal[x] = np.float32(counts[line, band, x]) - (_NOTHING if detector.on_raw else dark[x])
+        table_row(detector, detector.table, linear, signal)
+        polynomial_row(detector.polynomial, signal)
+        if detector.on_raw:
+            for x in range(signal.size):
+                signal[x] = signal[x] - dark[x]
+
+
+@borrowing_kernel
+def slope_row(
+    counts: Array,
+    dark: Array,
+    detector: DetectorModel,
+    polynomial: Array | None,
+    table: Array | None,
+    slope: Array,
+) -> None:
+    # Write the derivative of linear counts with respect to counts (column,), which scales the noise.
+    if polynomial is not None:
+        a2, a3 = np.float32(2.0) * polynomial[0], np.float32(3.0) * polynomial[1]
+        a4, a5 = np.float32(4.0) * polynomial[2], np.float32(5.0) * polynomial[3]
+        for x in range(slope.size):
+            c = np.float32(counts[x]) - (_NOTHING if detector.on_raw else dark[x])
+            slope[x] = _ONE_F32 + c * (a2 + c * (a3 + c * (a4 + c * a5)))
+    elif table is not None:
+        last, per_count = np.float32(table.size - 2), detector.nodes_per_count
+        for x in range(slope.size):
+            count = np.float32(counts[x]) - (_NOTHING if detector.on_raw else dark[x])
+            position = (count - detector.first_node) * per_count
+            node = np.uint32(np.int32(min(position, last) if position > _NOTHING else _NOTHING))
+            slope[x] = _ONE_F32 + (table[node + _ONE] - table[node]) * per_count
+
+
+# --- rounding of float32 values to the stored mantissa bits ------------------------------------------------
+
+
+@inlined_kernel
+def rounded(value: Any, rounding: Rounding | None) -> Any:
+    # Return a float32 rounded to nearest-even.
+    #
+    # Masks are used instead of shifts, which numba would do in 64 bits.
+    if rounding is None:
+        return value
+    bits = np.float32(value).view(np.uint32)
+    even = np.uint32((bits & rounding.last) == np.uint32(0))
+    return np.uint32(np.uint32(bits + rounding.half - even) & rounding.mask).view(np.float32)
+
+
+@inlined_kernel
+def round_row(values: Array, rounding: Rounding | None) -> None:
+    if rounding is not None:
+        for x in range(values.size):
+            values[x] = rounded(values[x], rounding)
+
+
+# --- uncertainties of samples ------------------------------------------------------------------------------
+
+
+# Buffers of `propagate_band`.
+class ErrorMemory(NamedTuple):
+    #: irradiance E, inverse 1 / E (3, column) float32: of a band and the two before, band ``b`` in row
+    #: ``b % 3``
+    irradiance: Array
+    inverse: Array
+    slope: Array  #: (column,) float32: linear counts per count of the current band
+    rounding: Rounding | None
+
+
+@inlined_kernel
+def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
+    # Evaluate a cubic in ``shift`` (column,).
+    c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
+    for x in range(irradiance.size):
+        s = shift[x]
+        irradiance[x] = c0 + s * (c1 + s * (c2 + s * c3))
+
+
+@inlined_kernel
+def light_row(
+    light: LightCells, shift: Array | None, line_and_band: tuple[Any, Any], irradiance: Array, inverse: Array
+) -> None:
+    # Write the irradiance E of ``line_and_band``, and 1 / E (column,).
+    #
+    # Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
+    line, band = line_and_band
+    if shift is None:
+        scale = light.coefficients[line, band, 0, 0]
+        for x in range(inverse.size):
+            inverse[x] = scale
+        for x in range(inverse.size):
+            irradiance[x] = _ONE_F32 / scale
+    else:
+        smile_band = band if shift.shape[0] > 1 else 0
+        for run in range(light.cells.shape[1]):
+            first, last = light.edges[smile_band, run], light.edges[smile_band, run + 1]
+            cubic = light.coefficients[line, band, light.cells[smile_band, run]]
+            light_run(cubic, shift[smile_band, first:last], irradiance[first:last])
+        for x in range(inverse.size):
+            inverse[x] = _ONE_F32 / irradiance[x]
+
+
+@inlined_kernel
+def random_row(
+    samples: LineCounts,
+    linear: LinearMemory | None,
+    detector: DetectorModel,
+    terms: ErrorTerms,
+    memory: ErrorMemory,
+    line_and_band: tuple[Any, Any],
+    out: SlabOutputs,
+) -> None:
+    # Write u = m sqrt(signal / k + floor), m: reflectance per count, k: counts per electron.
+    #
+    # A negative signal adds no variance.
+    line, band = line_and_band
+    inverse, gain = memory.inverse[band % 3], samples.gain[band]
+    per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
+    noise_floor = terms.noise_floor[band if terms.noise_floor.shape[0] > 1 else 0]
+    values, u_random = out.cube[line, band], out.u_random[line, band]
+    if linear is None:
+        for x in range(u_random.size):
+            value, per_count = values[x], abs(gain[x] * inverse[x])
+            # max() would drop the NaN
+            shot = _NOTHING if value < _NOTHING else value
+            variance = per_count * (shot * per_electron[x] + per_count * noise_floor[x])
+            u_random[x] = rounded(np.sqrt(variance), memory.rounding)
+    else:
+        # noise arises in raw counts: u = m L'(C) sqrt((C - D) / k + floor)
+        counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
+        slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
+        for x in range(u_random.size):
+            net_count = np.float32(counts[x]) - dark[x]
+            shot = _NOTHING if net_count < _NOTHING else net_count
+            noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
+            u = abs(slope[x] * (gain[x] * inverse[x])) * noise
+            u_random[x] = rounded(u if values[x] == values[x] else _NAN, memory.rounding)
+
+
+@inlined_kernel
+def systematic_row(
+    values: Array,
+    gain: Array,
+    memory: ErrorMemory,
+    terms: ErrorTerms,
+    slope: Array | None,
+    offset: Array | None,
+    band: Any,
+    u_systematic: Array,
+) -> None:
+    # Write the systematic uncertainty (column,) of a band from the values of its line (band, column).
+    #
+    # It is the root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope``
+    # and ``offset`` are members of ``terms``.
+    relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
+    rounding = memory.rounding
+    if offset is None:
+        for x in range(u_systematic.size):
+            u_systematic[x] = rounded(abs(values[band, x]) * relative[x], rounding)
+    elif slope is None:
+        dark_offset, inverse = offset[band if offset.shape[0] > 1 else 0], memory.inverse[band % 3]
+        for x in range(u_systematic.size):
+            scale, dark = values[band, x] * relative[x], gain[band, x] * inverse[x] * dark_offset[x]
+            u_systematic[x] = rounded(np.sqrt(scale * scale + dark * dark), rounding)
+    else:
+        low, high = max(band - 1, 0), min(band + 1, values.shape[0] - 1)
+        row, row_low, row_high = band % 3, low % 3, high % 3
+        dark_offset = offset[band if offset.shape[0] > 1 else 0]
+        irradiance, inverse = memory.irradiance, memory.inverse
+        rise_factor, rise_factor_alone, fall_factor, fall_factor_alone = (
+            slope[band, 0],
+            slope[band, 1],
+            slope[band, 2],
+            slope[band, 3],
+        )
+        # indexed by band: row views would exceed the compiler's limit of alias checks
+        for x in range(u_systematic.size):
+            value, per_light = values[band, x], inverse[row, x]
+            # radiance of the neighbours, in units of this band's light
+            below = values[low, x] * (irradiance[row_low, x] * per_light)
+            above = values[high, x] * (irradiance[row_high, x] * per_light)
+            rise = above - value if above == above else _NOTHING
+            fall = value - below if below == below else _NOTHING
+            # where a neighbour is missing, the other alone gives the slope
+            to_above = rise_factor if below == below else rise_factor_alone
+            to_below = fall_factor if above == above else fall_factor_alone
+            wavelength = rise * to_above + fall * to_below
+            dark = gain[band, x] * per_light * dark_offset[x]
+            scale = value * relative[x]
+            total = np.sqrt(scale * scale + (wavelength * wavelength + dark * dark))
+            u_systematic[x] = rounded(total, rounding)
+
+
+@inlined_kernel
+def propagate_band(
+    samples: LineCounts,
+    linear: LinearMemory | None,
+    detector: DetectorModel,
+    light: LightCells,
+    terms: ErrorTerms,
+    memory: ErrorMemory,
+    line_and_band: tuple[Any, Any],
+    out: SlabOutputs,
+) -> None:
+    # Write the random uncertainty of ``line_and_band``, and round finished bands.
+    #
+    # The systematic uncertainty of a band needs irradiance and unrounded values of the next band, and is
+    # therefore computed one band later.
+    line, band = line_and_band
+    values = out.cube[line]
+    last = values.shape[0] - 1
+    light_row(light, light.shift, line_and_band, memory.irradiance[band % 3], memory.inverse[band % 3])
+    random_row(samples, linear, detector, terms, memory, line_and_band, out)
+    for done in range(max(band - 1, 0), band + (band == last)):
+        systematic_row(
+            values, samples.gain, memory, terms, terms.slope, terms.offset, done, out.u_systematic[line, done]
+        )
+        if done > 0:
+            round_row(values[done - 1], memory.rounding)
+        if done == last:
+            round_row(values[last], memory.rounding)
 
 
 # --- the dark of a line
@@ -253,7 +574,6 @@ def raise_dark(pedestal: Any, dark: Array, out: Array) -> None:
 # --- quality flags of raw counts, combined over the bands of a line ----------------------------------------
 
 
-_ZERO = np.float32(0.0)
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)
 # With more doubtful columns than one in this number, visiting all columns row by row is faster.
@@ -283,7 +603,7 @@ def count_levels(dark: Array, margin: Array, is_integer: Any, level: Array, floo
             high, low = dark[band, x], dark[band, x] - margin[band, x]
             if is_integer:
                 high, low = np.ceil(high), np.ceil(low)
-                high, low = high if high > _ZERO else _ZERO, low if low > _ZERO else _ZERO
+                high, low = high if high > _NOTHING else _NOTHING, low if low > _NOTHING else _NOTHING
             has_margin = margin[band, x] == margin[band, x]
             level[band, x] = high if has_margin else lowest
             floor[band, x] = low if has_margin else lowest
@@ -355,3 +675,158 @@ def flag_line(
         if tally.below[x] != 0 or tally.negative[x] > limits.max_negative_bands:
             bits |= _BELOW_DARK
         quality[x] = bits
+
+
+# --- stray light and smear: sums over all bands of a column, for which every line is linearised again ---
+
+
+# Columns summed together, so that they stay in the first-level cache.
+_BLOCK_COLUMNS = 128
+_NO_LIMIT = np.float32(np.inf)
+
+
+# Buffers of `sum_line`.
+class StrayWork(NamedTuple):
+    total: Array  #: (column,) float32: smear of a line [count]
+    #: block (band, column), sums (term, column) float32: counts of `_BLOCK_COLUMNS` columns, and their sums
+    #: over the bands; contiguous, because rows at a distance of a power of two evict one another from the
+    #: cache
+    block: Array
+    sums: Array
+
+
+@borrowing_kernel
+def net_line(
+    counts: Array, line: Any, dark: Array, detector: DetectorModel, linear: LinearMemory | None, net: Array
+) -> None:
+    # Write linear counts above the ``dark`` of a line (band, column), 0 where they are not finite.
+    #
+    # Saturated counts are used as read, as a lower bound.
+    for band in range(counts.shape[1]):
+        row = net[band]
+        if linear is None:
+            for x in range(row.size):
+                row[x] = np.float32(counts[line, band, x]) - dark[band, x]
+        else:
+            signal_row(counts, detector, linear, (line, band))
+            for x in range(row.size):
+                row[x] = linear.signal[x]
+        for x in range(row.size):
+            row[x] = row[x] if abs(row[x]) < _NO_LIMIT else _NOTHING
+
+
+@borrowing_kernel
+def replace_bad(net: Array, replacements: Array) -> None:
+    # Replace bad elements (n, 3) of a line: column, band, and the band whose counts are copied; -1 for 0.
+    for k in range(replacements.shape[0]):
+        x, band, source = replacements[k, 0], replacements[k, 1], replacements[k, 2]
+        net[band, x] = net[source, x] if source >= 0 else _NOTHING
+
+
+@borrowing_kernel
+def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
+    # Write the counts of a line (band, column) that come from other bands [count].
+    #
+    # First the smear, a share of the sum over the bands; then, from the counts without smear, the product of
+    # two narrow matrices. Terms are summed four at a time in the order of the bands, so the bits do not
+    # depend on the number of columns.
+    bands, columns = out.shape
+    total, block, sums = work.total, work.block, work.sums
+    total[:] = _NOTHING
+    if smear != _NOTHING:
+        for band in range(bands):
+            for x in range(columns):
+                total[x] += net[band, x]
+        for x in range(columns):
+            total[x] *= smear
+    for first in range(0, columns, _BLOCK_COLUMNS):
+        width = min(_BLOCK_COLUMNS, columns - first)
+        for band in range(bands):
+            for x in range(width):
+                column = first + x
+                block[band, x] = (net[band, column] - total[column]) * stray.level[band, column]
+        for term in range(stray.source_terms.shape[0]):
+            sum_rows(block, stray.source_terms[term], sums[term])
+        for band in range(bands):
+            row = block[band]
+            sum_rows(sums, stray.band_terms[band], row)
+            for x in range(width):
+                out[band, first + x] = row[x] / stray.level[band, first + x] + total[first + x]
+
+
+@borrowing_kernel
+def sum_rows(rows: Array, weights: Array, out: Array) -> None:
+    # Write sum_r weights[r] rows[r] of rows (row, column); ``weights`` are padded to a multiple of four.
+    out[:] = _NOTHING
+    for row in range(0, weights.size, 4):
+        a, b, c, d = weights[row], weights[row + 1], weights[row + 2], weights[row + 3]
+        for x in range(out.size):
+            out[x] += (a * rows[row, x] + b * rows[row + 1, x]) + (
+                c * rows[row + 2, x] + d * rows[row + 3, x]
+            )
+
+
+@borrowing_kernel
+def subtract_row(
+    stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, line_and_band: tuple[int, int]
+) -> None:
+    # Subtract stray counts (column,) of ``line_and_band``; add their uncertainty in quadrature.
+    line, band = line_and_band
+    values = out.cube[line, band]
+    for x in range(values.size):
+        values[x] -= stray[x] * (gain[x] * inverse[x])
+    if out.u_systematic.shape[0] > 0:
+        u_systematic = out.u_systematic[line, band]
+        for x in range(values.size):
+            uncertainty = relative * (stray[x] * (gain[x] * inverse[x]))
+            u_systematic[x] = np.sqrt(u_systematic[x] * u_systematic[x] + uncertainty * uncertainty)
+
+
+@kernel
+def subtract_stray_light(
+    counts: Array,
+    calibration: Calibration,
+    light: LightCells,
+    stray: StrayLight,
+    rounding: Rounding | None,
+    out: SlabOutputs,
+) -> None:
+    # Subtract stray light from calibrated lines, not yet rounded, of counts (line, band, column).
+    #
+    # Then round the outputs that are not empty.
+    n_line, n_band, n_column = counts.shape
+    detector = calibration.detector
+    blended_dark = np.empty((n_band, n_column), np.float32)
+    linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
+    net = np.empty((n_band, n_column), np.float32)
+    stray_counts = np.empty((n_band, n_column), np.float32)
+    # rows of zeros pad the bands to a multiple of four
+    memory = StrayWork(
+        np.empty(n_column, np.float32),
+        np.zeros((max(stray.source_terms.shape[1], n_band), _BLOCK_COLUMNS), np.float32),
+        np.zeros((stray.source_terms.shape[0], _BLOCK_COLUMNS), np.float32),
+    )
+    irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
+    for line in range(n_line):
+        dark = dark_of_line(
+            counts[line],
+            calibration.dark,
+            calibration.dark_index,
+            calibration.dark_weight,
+            detector.masked,
+            line,
+            blended_dark,
+        )
+        straighten_dark(detector, dark, linear)
+        net_line(counts, line, dark, detector, linear, net)
+        replace_bad(net, stray.replacements)
+        sum_line(net, stray, stray.smear[line], memory, stray_counts)
+        for band in range(n_band):
+            light_row(light, light.shift, (line, band), irradiance, inverse)
+            subtract_row(
+                stray_counts[band], calibration.gain[band], inverse, stray.relative, out, (line, band)
+            )
+            round_row(out.cube[line, band], rounding)
+            if out.u_random.shape[0] > 0:
+                round_row(out.u_random[line, band], rounding)
+                round_row(out.u_systematic[line, band], rounding)

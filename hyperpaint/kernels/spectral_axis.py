@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
+from hyperpaint.base.schema import Array
 
 _NAN = np.float32(np.nan)
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
+_NOTHING = np.float32(0.0)
+_ONE_F32 = np.float32(1.0)
 # Bands weighted in one loop: few enough for the registers of any processor.
 _BANDS_PER_LOOP = 6
 
@@ -71,8 +71,8 @@ def average_line(values: Array, width: int, ends: Array, beginning: Array, out: 
     half = width // 2
     for first in range(0, bands, width):
         for x in range(columns):
-            ends[width, x] = _ZERO
-            beginning[x] = _ZERO
+            ends[width, x] = _NOTHING
+            beginning[x] = _NOTHING
         for offset in range(width - 1, -1, -1):
             band, sums, previous = first + offset - half, ends[offset], ends[offset + 1]
             if 0 <= band < bands:
@@ -97,7 +97,7 @@ def average_line(values: Array, width: int, ends: Array, beginning: Array, out: 
 @inlined_kernel
 def share_of_window(band: Any, half: Any, bands: Any) -> Any:
     # 1 / (number of bands in a window of ``half`` bands to either side, cut at the ends).
-    return _ONE / np.float32(min(band + half, bands - 1) - max(band - half, 0) + 1)
+    return _ONE_F32 / np.float32(min(band + half, bands - 1) - max(band - half, 0) + 1)
 
 
 @borrowing_kernel
@@ -106,17 +106,17 @@ def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
     for band in range(values.shape[0]):
         for x in range(values.shape[1]):
             value = values[band, x]
-            filled[band, x] = value if value == value else _ZERO
+            filled[band, x] = value if value == value else _NOTHING
         for x in range(values.shape[1]):
             value = values[band, x]
-            counts[band, x] = _ONE if value == value else _ZERO
+            counts[band, x] = _ONE_F32 if value == value else _NOTHING
 
 
 @borrowing_kernel
 def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
     # Divide means over whole windows (band, column) by the ``shares`` of their bands that are valid.
     bands = values.shape[0]
-    full_window = _ONE - np.float32(0.5) / np.float32(2 * half + 1)
+    full_window = _ONE_F32 - np.float32(0.5) / np.float32(2 * half + 1)
     for band in range(bands):
         for x in range(values.shape[1]):
             share, missing = shares[band, x], values[band, x] != values[band, x]
@@ -174,7 +174,7 @@ def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) ->
 def weight_and_row(values: Array, weights: Array, first: Any, k: Any) -> tuple[Any, Array]:
     # Return weight and values of the ``k``-th band of a window.
     is_inside = k < weights.size
-    return (weights[k] if is_inside else _ZERO), values[first + (k if is_inside else 0)]
+    return (weights[k] if is_inside else _NOTHING), values[first + (k if is_inside else 0)]
 
 
 @borrowing_kernel
@@ -188,7 +188,7 @@ def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any
             gap = k
     if gaps != 1:
         return values[line, band, x] if gaps > 1 else _NAN
-    total = _ZERO
+    total = _NOTHING
     for k in range(width):
         if k != gap:
             total += fallback[band, gap, k] * values[line, first + k, x]

@@ -5,20 +5,16 @@ the sky in view. The record itself gives the diffuse fraction; since the tilt ch
 fraction is derived a second time from the corrected record.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.schema import IRRADIANCE_TIME
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, takes_quantities
+from hyperpaint.base.schema import IRRADIANCE_TIME, Array, Floats, label, require
 
 from .diffuse_record import SKY_STATES, split_of_arrays
 from .sky_functions import sunward_gain
@@ -159,7 +155,7 @@ def level_irradiance(
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.clear_sky import ClearSky
+    >>> from hyperpaint.light.sky_functions import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> zenith = solar_position(noon, 50.0, 0.0)[0][0]
     >>> direct, diffuse = (0.967 * part for part in ClearSky(zenith).irradiance(nm))
@@ -182,7 +178,7 @@ def level_irradiance(
         mend="open the original record",
         code="record-already-levelled",
     )
-    variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
+    variables = require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
@@ -216,7 +212,7 @@ def level_irradiance(
     level = record.copy(data=(spectra / factor).astype(np.float32))
     tilt = xr.DataArray(sensor.tilt.astype(np.float32), dims=(IRRADIANCE_TIME,))
     levelled = irradiance.assign(
-        irradiance=schema.label(level, "irradiance"), irradiance_tilt=schema.label(tilt, "irradiance_tilt")
+        irradiance=label(level, "irradiance"), irradiance_tilt=label(tilt, "irradiance_tilt")
     )
     return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {sky}")
 

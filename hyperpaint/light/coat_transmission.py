@@ -16,9 +16,8 @@ import functools
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.schema import ArrayLike, Floats
 
 from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
 
@@ -26,7 +25,7 @@ from .sky_functions import clear_sky_shares, dome, function_shapes, relative_rad
 COAT_INDEX, COAT_INDEX_U = 1.5, 0.03
 
 
-def interface_reflectance(angle: npt.ArrayLike, index: float = COAT_INDEX) -> Floats:
+def interface_reflectance(angle: ArrayLike, index: float = COAT_INDEX) -> Floats:
     """Return Fresnel's reflectance for unpolarised light from outside at an angle of incidence [degree].
 
     Examples
@@ -58,7 +57,7 @@ def _mean_reflectances(sun_zenith: float, index: float) -> tuple[Floats, float]:
 
 
 def sky_reflectance(
-    wavelength: npt.ArrayLike, sun_zenith: float | None, cloud: float = 0.0, index: float = COAT_INDEX
+    wavelength: ArrayLike, sun_zenith: float | None, cloud: float = 0.0, index: float = COAT_INDEX
 ) -> Floats:
     """Return the reflectance of a level coat for the light of the sky (band,) [1].
 

@@ -1,15 +1,12 @@
 """Colours in daylight: sRGB of reflectance spectra, CIE Lab, CIEDE2000, and names of car colours."""
 
-from __future__ import annotations
-
 import difflib
 import re
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Array, ArrayLike, Floats
 
 from .responses import band_spacing
 
@@ -30,7 +27,7 @@ _XYZ_TO_SRGB = np.array(
 )
 
 
-def colour_matching(wavelength: npt.ArrayLike) -> Array:
+def colour_matching(wavelength: ArrayLike) -> Array:
     """Return the CIE 1931 colour-matching functions x, y, z (3, band) at wavelengths [nm].
 
     The multi-lobe fit of [1]_, within 1 % of the tables.
@@ -55,7 +52,7 @@ def colour_matching(wavelength: npt.ArrayLike) -> Array:
     return np.stack([x, y, 1.217 * lobe(437.0, 11.8, 36.0) + 0.681 * lobe(459.0, 26.0, 13.8)])
 
 
-def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
+def srgb(spectra: ArrayLike, wavelength: ArrayLike) -> Array:
     """Return the colours of reflectance spectra in daylight (..., 3), sRGB from 0 to 1, white being 1.
 
     ``spectra`` (..., band): reflectance [1], NaN is interpolated from the neighbours; ``wavelength`` (band,):
@@ -143,7 +140,7 @@ def parse_colour(colour: str) -> Floats:
     return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0
 
 
-def colour_name(spectrum: npt.ArrayLike, wavelength: npt.ArrayLike) -> str:
+def colour_name(spectrum: ArrayLike, wavelength: ArrayLike) -> str:
     """Return the word of `COLOURS` that is nearest to a reflectance spectrum (band,) [1], in CIEDE2000.
 
     ``wavelength`` (band,): increasing [nm]. "paint" with fewer than three visible bands or values.
@@ -161,7 +158,7 @@ def colour_name(spectrum: npt.ArrayLike, wavelength: npt.ArrayLike) -> str:
     return list(COLOURS)[int(ciede2000(words, lab_of(srgb(values, nm))).argmin())]
 
 
-def srgb_hex(colour: npt.ArrayLike) -> str:
+def srgb_hex(colour: ArrayLike) -> str:
     """Return sRGB (rgb,) from 0 to 1 as hexadecimal digits; empty for NaN.
 
     Examples
@@ -177,7 +174,7 @@ def srgb_hex(colour: npt.ArrayLike) -> str:
     )
 
 
-def lab_of(srgb: npt.ArrayLike) -> Floats:
+def lab_of(srgb: ArrayLike) -> Floats:
     """Return CIE 1976 L*, a*, b* of sRGB (..., rgb) from 0 to 1, relative to its white (D65).
 
     Examples
@@ -195,7 +192,7 @@ def lab_of(srgb: npt.ArrayLike) -> Floats:
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
-def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
+def ciede2000(lab: ArrayLike, other: ArrayLike) -> Floats:
     """Return the CIEDE2000 difference of colours in CIE Lab (..., 3); a difference of 1 is just visible.
 
     CIE 142-2001, as in Sharma, Wu & Dalal, Color Res. Appl. 30, 21 (2005).

@@ -5,24 +5,30 @@ colour, and changes over a minute. Called by `process`, which stores the split w
 and for flight lines that have a record only.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, documented, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Array,
+    ArrayLike,
+    Floats,
+    Ints,
+    label,
+    require,
+)
 
-from .clear_sky import ClearSky
+from .sky_functions import ClearSky
 from .sun import Scatterers, scattered_light, solar_position
 from .synchrony import channels_of, check_irradiance_times
 
@@ -54,7 +60,7 @@ def diffuse_from_record(
     latitude: float,
     longitude: float,
     *,
-    wavelength: npt.ArrayLike = _SHOWN_NM,
+    wavelength: ArrayLike = _SHOWN_NM,
     calibration_uncertainty: float = 0.05,
     pressure: float = 101_325.0,
 ) -> xr.Dataset:
@@ -100,7 +106,7 @@ def diffuse_from_record(
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.clear_sky import ClearSky
+    >>> from hyperpaint.light.sky_functions import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> sky = np.tile(0.967 * sum(ClearSky(26.6).irradiance(nm)), (2, 1))
     >>> light = xr.DataArray(
@@ -111,7 +117,7 @@ def diffuse_from_record(
     >>> split.sky_state.values, split.diffuse_fraction.values[0].round(1)
     (array([0, 0], dtype=int8), array([0.3, 0.1], dtype=float32))
     """
-    variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
+    variables = require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     channels = channels_of(record)
     problems = Problems("the split of irradiance is not known", SchemaError)
@@ -148,7 +154,7 @@ def diffuse_from_record(
         },
         {
             IRRADIANCE_TIME: record[IRRADIANCE_TIME].variable,
-            "wavelength": (BAND, wavelengths, schema.VARIABLES["wavelength"].attrs),
+            "wavelength": (BAND, wavelengths, VARIABLES["wavelength"].attrs),
             "state": list(SKY_STATES),
         },
     )
@@ -162,16 +168,16 @@ def split_of_arrays(
     #
     # ``spectra`` (sample, channel) [W m-2 nm-1], ``channels`` and ``wavelength`` [nm]; see
     # `diffuse_from_record`.
-    axis = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
+    axis = xr.Variable(IRRADIANCE_WAVELENGTH, channels, VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
     axes = {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: axis}
-    record = schema.label(xr.DataArray(spectra, axes, tuple(axes)), "irradiance")
+    record = label(xr.DataArray(spectra, axes, tuple(axes)), "irradiance")
     split = diffuse_from_record(record.to_dataset(), *place, wavelength=wavelength)
     return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
     # Return a variable of `SPLIT` with its attributes of the table.
-    return schema.label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})
+    return label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})
 
 
 def sky_state_attrs() -> dict[str, Any]:
@@ -179,7 +185,7 @@ def sky_state_attrs() -> dict[str, Any]:
     return {"flag_values": np.arange(len(SKY_STATES), dtype=np.int8), "flag_meanings": " ".join(SKY_STATES)}
 
 
-def states_of(probability: Floats) -> npt.NDArray[np.int8]:
+def states_of(probability: Floats) -> Array:
     # Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`.
     return np.where(
         probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, probability.argmax(axis=1)
@@ -244,7 +250,7 @@ def split_of_lines(
     wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
     if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
         return None
-    variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
+    variables = require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
     is_located = np.isfinite(latitude) & np.isfinite(longitude)

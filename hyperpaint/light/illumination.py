@@ -4,22 +4,17 @@ The spectrometer's samples are matched to the imager's responses (`match_irradia
 shifts of its smile, and converted to a tilted surface (`Tilt`). `synchrony` assigns samples to lines.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import is_number, one_of
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, is_number, one_of, takes_quantities
+from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH, VARIABLES, Array, ArrayLike, Floats, label
 
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
 from .sky_functions import facing_gain
@@ -177,7 +172,7 @@ class Smile:
         return np.moveaxis(np.stack(coefficients, axis=-1), -3, -2)
 
 
-def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
+def smile_cells(wavelength_shift: ArrayLike | None, columns: int) -> Smile:
     # Return the nodes, cells and runs of a smile over a number of columns.
     #
     # ``wavelength_shift`` (cross_track,) or (band, cross_track) is the true minus the nominal wavelength of
@@ -212,16 +207,16 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
 @takes_quantities(wavelength="nm", fwhm="nm", irradiance_fwhm="nm", nodes="nm", srf_offset="nm")
 def match_irradiance(
     irradiance: xr.DataArray,
-    wavelength: npt.ArrayLike,
-    fwhm: npt.ArrayLike,
+    wavelength: ArrayLike,
+    fwhm: ArrayLike,
     *,
-    irradiance_fwhm: npt.ArrayLike = 3.0,
-    nodes: npt.ArrayLike = (0.0,),
+    irradiance_fwhm: ArrayLike = 3.0,
+    nodes: ArrayLike = (0.0,),
     srf_shape: str = "gaussian",
     irradiance_srf_shape: str = "gaussian",
-    responsivity: npt.ArrayLike | None = None,
-    srf_offset: npt.ArrayLike | None = None,
-    srf: npt.ArrayLike | None = None,
+    responsivity: ArrayLike | None = None,
+    srf_offset: ArrayLike | None = None,
+    srf: ArrayLike | None = None,
 ) -> xr.DataArray:
     """Return the irradiance in the imager's own bands.
 
@@ -281,14 +276,14 @@ def match_irradiance(
     >>> print(matched.dims, matched.values.round(4))
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
-    dims = schema.VARIABLES["irradiance"].dims
+    dims = VARIABLES["irradiance"].dims
     SchemaError.raise_if(
         set(irradiance.dims) != set(dims),
         f"'irradiance' has dims {irradiance.dims}",
         expected=f"{dims}",
         code="dims-wrong",
     )
-    irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
+    irradiance = convert(irradiance.transpose(*dims), VARIABLES["irradiance"].units, "irradiance")
     channels = channels_of(irradiance)
     imager = {
         "wavelength": wavelength,
@@ -302,8 +297,8 @@ def match_irradiance(
     _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
-        irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
-        input_core_dims=[[schema.IRRADIANCE_WAVELENGTH]],
+        irradiance.chunk({IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
+        input_core_dims=[[IRRADIANCE_WAVELENGTH]],
         output_core_dims=[["node", "band"]],
         dask="parallelized",
         output_dtypes=[np.float32],
@@ -317,10 +312,10 @@ def match_irradiance(
     shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
     matched = matched.assign_coords(
         node=("node", shifts, {"units": "nm", "long_name": "Wavelength shift"}),
-        wavelength=("band", centres, schema.VARIABLES["wavelength"].attrs),
+        wavelength=("band", centres, VARIABLES["wavelength"].attrs),
         **quality,
     )
-    return schema.label(matched, "irradiance")
+    return label(matched, "irradiance")
 
 
 def _responses(

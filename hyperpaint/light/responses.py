@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import SRF_SHAPES
+from hyperpaint.base.schema import SRF_SHAPES, ArrayLike, Floats, Ints
 
 #: Standard deviation of a Gaussian per unit of full width at half maximum.
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
@@ -158,7 +156,7 @@ class Responses:
         return np.asarray(response if np.ndim(band) else response[0])
 
 
-def band_spacing(wavelength: npt.ArrayLike) -> Floats:
+def band_spacing(wavelength: ArrayLike) -> Floats:
     """Return the distance between neighbouring bands at each band [nm], in any order of bands.
 
     Examples
@@ -173,7 +171,7 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     return spacing
 
 
-def spectral_parts(wavelength: npt.ArrayLike) -> list[slice]:
+def spectral_parts(wavelength: ArrayLike) -> list[slice]:
     """Return the parts of a spectral axis between detector joins, overlaps and gaps.
 
     A new part begins where wavelengths run back, and after a step of more than four times its neighbours.
@@ -191,7 +189,7 @@ def spectral_parts(wavelength: npt.ArrayLike) -> list[slice]:
     return [slice(start, stop) for start, stop in itertools.pairwise(edges)]
 
 
-def mean_responsivity(gain: npt.ArrayLike) -> Floats:
+def mean_responsivity(gain: ArrayLike) -> Floats:
     # Return the mean responsivity of every band, any scale, from gains (band, column).
     #
     # Gains that are not positive and finite are left out; NaN for a band without a usable gain.
@@ -249,7 +247,7 @@ class Matching:
 
 
 def matching_operator(
-    spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike = (0.0,), *, ridge: float = RIDGE
+    spectrometer: Responses, imager: Responses, nodes: ArrayLike = (0.0,), *, ridge: float = RIDGE
 ) -> Matching:
     r"""Return the weights that combine a spectrometer's channels into an imager's bands.
 

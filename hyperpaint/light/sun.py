@@ -1,24 +1,18 @@
 """Position of the sun, and the split of clear-sky light into direct and diffuse."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
-from hyperpaint.base.facts import documented
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import ArrayLike, Floats
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 
 
 @takes_quantities(latitude="degree", longitude="degree")
 @documented()
-def solar_position(
-    time: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike
-) -> tuple[Floats, Floats]:
+def solar_position(time: ArrayLike, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
     """Return the zenith angle and the azimuth of the sun [degree].
 
     Parameters
@@ -72,7 +66,7 @@ def solar_position(
     return np.degrees(np.arctan2(np.hypot(east, north), up)), np.degrees(np.arctan2(east, north)) % 360.0
 
 
-def air_mass(zenith: npt.ArrayLike) -> Floats:
+def air_mass(zenith: ArrayLike) -> Floats:
     """Return the relative optical air mass at a zenith angle [degree] (Kasten 1966, as in SPECTRL2).
 
     Examples
@@ -86,7 +80,7 @@ def air_mass(zenith: npt.ArrayLike) -> Floats:
 
 
 def diffuse_fraction(
-    wavelength: npt.ArrayLike,
+    wavelength: ArrayLike,
     zenith: float,
     *,
     aerosol_optical_depth: float = 0.1,

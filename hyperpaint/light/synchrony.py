@@ -9,13 +9,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
-from hyperpaint.base.units import convert
+from hyperpaint.base.facts import convert
+from hyperpaint.base.schema import (
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    Array,
+    Floats,
+    Floats32,
+    Ints,
+    Quality,
+)
 
 from .sun import solar_position
 
@@ -32,14 +38,14 @@ TIMING_EFFECT = 0.01
 class LineLight:
     # Irradiance samples on either side of each line, with weight, age and flags.
     #: before, after (line,) int64: the samples on either side of the line
-    before: npt.NDArray[np.int64]
-    after: npt.NDArray[np.int64]
+    before: Ints
+    after: Ints
     weight: Floats  #: (line,) float64: of the later sample; NaN where the line has no light
-    age: npt.NDArray[np.float32]  #: (line,) float32: time to the nearest sample [s]
+    age: Floats32  #: (line,) float32: time to the nearest sample [s]
     #: (line,) float32: largest relative error of reflectance by an error of the clocks [1]; see
     #: `timing_sensitivity`
-    sensitivity: npt.NDArray[np.float32]
-    flags: npt.NDArray[np.uint16]  #: (line,) uint16: bits of `Quality` that hold for the whole line
+    sensitivity: Floats32
+    flags: Array  #: (line,) uint16: bits of `Quality` that hold for the whole line
 
 
 def line_light(

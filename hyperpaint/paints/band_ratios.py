@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import BAND, Floats
 from hyperpaint.radiometry.spectral_axis import at
-from hyperpaint.radiometry.uncertainty.error_sources import FORMS
+from hyperpaint.radiometry.uncertainty.propagation import FORMS
 
 OTHER_BAND = "other_band"
 

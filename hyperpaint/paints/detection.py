@@ -17,9 +17,8 @@ from dask.highlevelgraph import HighLevelGraph
 from scipy.linalg import solve_triangular
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import one_of
+from hyperpaint.base.facts import one_of, takes_quantities
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -29,9 +28,12 @@ from hyperpaint.base.schema import (
     CUBE,
     LIBRARY_VARIABLES,
     SIGNATURE,
+    Array,
+    Bools,
+    Floats,
+    Ints,
     Quality,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.paint_libraries import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of

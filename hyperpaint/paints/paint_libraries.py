@@ -38,12 +38,20 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.schema import (
+    BAND,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    QUANTILE,
+    SIGNATURE,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+)
 from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour, srgb, srgb_hex
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 

@@ -23,12 +23,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError, needs_extra
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Floats, Quality, rename_to_roles
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
@@ -36,12 +35,10 @@ from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
 from hyperpaint.paints.paint_libraries import search_library, starter_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
-from hyperpaint.radiometry.coarse_lines import coarse
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.pixel_reading import pixels
+from hyperpaint.radiometry.pixel_reading import coarse, pixels
 from hyperpaint.radiometry.spectral_axis import at, bands_at
-from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
-from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES, mean_uncertainty
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
 from hyperpaint.regions.polygons import contains, renumbered
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problem, Problems, SchemaError
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -24,6 +23,7 @@ from hyperpaint.base.schema import (
     SIGNATURE,
     STEP,
     VARIABLES,
+    Array,
     Quality,
     find,
     flag_names,
@@ -33,7 +33,6 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands

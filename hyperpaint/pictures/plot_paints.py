@@ -12,9 +12,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -22,17 +21,17 @@ from hyperpaint.base.schema import (
     LIBRARY_VARIABLES,
     MEMBER,
     SIGNATURE,
+    Array,
+    Bools,
     Quality,
     rename_to_roles,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.daylight_colours import srgb
 from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
-from hyperpaint.radiometry.panel_judging import PANEL_STATES
-from hyperpaint.radiometry.panels import CLOSURE
+from hyperpaint.radiometry.panels import CLOSURE, PANEL_STATES
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import (
@@ -673,7 +672,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     Examples
     --------
     >>> import hyperpaint as hp
-    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> from hyperpaint.radiometry.pixel_reading import worked_example
     >>> whole = hp.Panel(slice(None), slice(None), 0.4)
     >>> closure = hp.radiometry.panel_closure(worked_example(), whole)
     >>> figure = panel_figure(closure, "panels.png")                              # doctest: +SKIP

@@ -14,17 +14,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
 from hyperpaint.base.errors import PaintWarning, Problem
-from hyperpaint.base.variables import BAND, CROSS_TRACK, IRRADIANCE_TIME
+from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Ints
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
-from hyperpaint.io.flightline.dark import DARK_NONE
-from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
+from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInputs, Timing
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
-from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, RECORD
-from hyperpaint.light.clear_sky import ClearSky
+from hyperpaint.light.sky_functions import ClearSky
 from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
 from .product_judging import Product, judge_product
@@ -1207,7 +1204,8 @@ def _product(
     is_unsaturated = sample.maximum < saturation_limit
     light = np.where(is_unsaturated & np.isfinite(gain), sample.blocks - dark, np.nan)
     wavelength = line["wavelength"].values.astype(np.float64)
-    shift, reflectance, share, zenith, daylight = None, None, math.nan, math.nan, None
+    shift, reflectance, full_scale, daylight = None, None, None, None
+    share, zenith = math.nan, math.nan
     if "wavelength_shift" in line.coords:
         shift = line["wavelength_shift"].transpose(..., CROSS_TRACK).values
         shift = shift.mean(axis=0) if shift.ndim == 2 else shift
@@ -1230,9 +1228,21 @@ def _product(
         if line.attrs.get("absolute_scale") != "unknown":
             exposure = float(np.nanmean(line["exposure_time"].values))
             light_of_bands = np.where(daylight(wavelength) > 0.0, daylight(wavelength), np.nan)
-            reflectance = np.pi * gain * light / (exposure * light_of_bands[:, None])
+            per_count = np.pi * gain / (exposure * light_of_bands[:, None])
+            reflectance = per_count * light
+            full_scale = np.nanmedian(per_count * (saturation_limit - dark), axis=1)
     return Product(
-        light, gain, wavelength, sample.lines, sample.divisor, reflectance, share, zenith, shift, daylight
+        light,
+        gain,
+        wavelength,
+        sample.lines,
+        sample.divisor,
+        reflectance,
+        full_scale,
+        share,
+        zenith,
+        shift,
+        daylight,
     )
 
 

@@ -4,8 +4,6 @@ Plain arrays of a sample come in, verdicts go out, those that passed as well. A 
 in reflectance, the one number with a known range.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.schema import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -44,6 +42,9 @@ class Rules:
         Reflectance of the brightest pixels in their brightest bands below which a line is doubtful, and
         refused [1]: water and wet asphalt mirror 0.02 of the sky; a dusk of 0.03 of the declared light has
         0.010.
+    least_full_scale
+        Reflectance at which the first band saturates, below which a line is doubtful [1]: ordinary exposures
+        reach 0.8; long ones, for dark water, are told as well.
     ordinary_level
         Median reflectance of ordinary ground, from which the factor of a slip is estimated [1].
     slip_range
@@ -70,6 +71,9 @@ class Rules:
         Largest standard deviation of a step over bands (with a third of 1), and change in a part of blocks of
         lines, relative to the step and a half [1]: an edge of the slit dims all bands of all lines alike
         (0.002 and 0.006); edges of surfaces along the track change colour (0.01 to 0.03), others wander.
+    strong_step, strong_colour, strong_change
+        Minimum of a strong step, and its limits: without colour (0.001 to 0.007) it is an edge of the slit
+        even where the ground beside it changes (0.11); shadows of this depth change more (0.3).
     step_blocks
         Minimum number of blocks of lines.
     """
@@ -84,6 +88,7 @@ class Rules:
     most_slope: float = 2.5
     least_top: float = 0.008
     refused_top: float = 0.003
+    least_full_scale: float = 0.2
     ordinary_level: float = 0.2
     slip_range: float = 2.5
     multiple: int = 4
@@ -99,6 +104,9 @@ class Rules:
     step_colour: float = 0.015
     step_change: float = 0.014
     step_part: float = 0.7
+    strong_step: float = 0.3
+    strong_colour: float = 0.008
+    strong_change: float = 0.07
     step_blocks: int = 4
 
 
@@ -136,6 +144,7 @@ class Product(NamedTuple):
     lines: int  # Number of lines in the sample
     divisor: int  # Greatest common divisor of all counts
     reflectance: Floats | None  # (block, band, column) [1], None where unknown
+    full_scale: Floats | None  # (band,) reflectance at which the band saturates [1], None where unknown
     share: float  # Irradiance over that of a clear sky [1], NaN where unknown
     zenith: float  # Zenith angle of the sun [degree], NaN where unknown
     shift: Floats | None  # (column,) declared smile [nm]
@@ -165,7 +174,8 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     # Return the verdict on the level, and reflectance of the brightest pixels in their brightest bands [1].
     first, last = RULES.judged_nm
     is_judged = (product.wavelength >= first) & (product.wavelength <= last)
-    spectra = reflectance[:, is_judged if is_judged.sum() >= 3 else slice(None)]
+    is_judged |= is_judged.sum() < 3
+    spectra = reflectance[:, is_judged]
     # saturated pixels, mostly glint, say nothing by their few other bands
     is_known = np.isfinite(spectra).mean(axis=1, keepdims=True) > 0.5
     low, level, high = np.nanquantile(np.where(is_known, spectra, np.nan), (0.1, 0.5, 0.9), axis=1)
@@ -182,14 +192,15 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     is_high = share > RULES.bright_share
     is_refused = top < RULES.refused_top or (is_high and bright > slope * RULES.refused_level)
     found = f"the median reflectance is {median:.3g}, {bright:.3g} in the brightest tenth of the pixels"
-    passes = not (is_high or top < RULES.least_top)
+    full_scale = math.inf if product.full_scale is None else float(np.nanmin(product.full_scale[is_judged]))
+    is_short = full_scale < RULES.least_full_scale
+    passes = not (is_high or top < RULES.least_top or is_short)
     if not passes:
-        found += f", {100 * share:.3g} % of them too bright for their colour" * is_high + _slip(
-            product, median
-        )
+        found += f", {100 * share:.3g} % of them too bright for their colour" * is_high
+        found += f", and the camera saturates at {full_scale:.2g}" * is_short + _slip(product, median)
     expected = (
         f"{RULES.least_top:g} to {slope * RULES.most_coloured:.3g}, grey surfaces to "
-        f"{slope * RULES.most_grey:.3g}"
+        f"{slope * RULES.most_grey:.3g}; saturation from {RULES.least_full_scale:g} on"
     )
     kind = "reflectance-impossible" if is_refused else "reflectance-level"
     return [Verdict(kind, found, expected, passes)], top
@@ -311,10 +322,13 @@ def _swath(product: Product) -> Iterator[Verdict]:
     size = np.median(steps, axis=(0, 1))
     colour, blocks = np.median(steps, axis=0).std(axis=0), np.median(steps, axis=1)
     change = np.quantile(np.abs(blocks - np.median(blocks, axis=0)), RULES.step_part, axis=0)
-    is_edge = (
-        (np.abs(size) > RULES.step)
-        & (colour < RULES.step_colour * (0.3 + np.abs(size)))
-        & (change < RULES.step_change * (0.5 + np.abs(size)))
+    colour, change = colour / (0.3 + np.abs(size)), change / (0.5 + np.abs(size))
+    limits = (
+        (RULES.step, RULES.step_colour, RULES.step_change),
+        (RULES.strong_step, RULES.strong_colour, RULES.strong_change),
+    )
+    is_edge = np.any(
+        [(np.abs(size) > least) & (colour < most) & (change < moved) for least, most, moved in limits], axis=0
     )
     column = int(np.argmax(np.where(is_edge, np.abs(size), -1.0)))
     factor = math.exp(float(size[column]))

@@ -1,12 +1,12 @@
-from .coarse_lines import coarse as coarse
 from .counts_to_reflectance import (
     panel_closure as panel_closure,
     radiance as radiance,
     reflectance as reflectance,
     slab as slab,
+    white_reference as white_reference,
 )
 from .panels import Panel as Panel
-from .pixel_reading import pixels as pixels
+from .pixel_reading import coarse as coarse, pixels as pixels
 from .spectral_axis import (
     at as at,
     smooth as smooth,
@@ -16,4 +16,3 @@ from .uncertainty import (
     estimate_noise as estimate_noise,
     mean_uncertainty as mean_uncertainty,
 )
-from .white_tiles import white_reference as white_reference

@@ -1,28 +1,209 @@
-"""Reflectance of a pixel, a region or a band: reads only its storage chunks, without a scheduler."""
+"""Reflectance of a pixel, a region or a band: reads only its storage chunks, without a scheduler.
 
-from __future__ import annotations
+The worked example: one pixel of known reflectance, with its calibration and light.
+
+Means of blocks of pixels: a flight line at the size of a screen, stored beside the line by `process`.
+"""
 
 import dataclasses
 from typing import Any
 
 import dask
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, CUBE
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Array,
+    ArrayLike,
+    has_own_means,
+    label,
+    rename_to_roles,
+    require,
+    round_bits,
+    stamp_means,
+)
 from hyperpaint.io.store.computing import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs
+from hyperpaint.kernels.overviews import average_blocks
 
-from .counts_to_reflectance import applied, merged_quality
+from .counts_to_reflectance import applied, merged_quality, reflectance
 from .panels import declared_panels, declared_scale
 from .planning import PLANS, Entry, make_plan, plan_inputs
-from .slabs import NO_CUBE, Plan, calibrate_lines
+from .slabs import NO_CUBE, Plan, calibrate_lines, line_chunked
 from .spectral_axis import bands_at
+
+SCREEN_LINES = 1000
+#: Pixels along the side of the smallest block: stored means are at most a sixteenth of the cube.
+MIN_BLOCK_SIDE = 4
+#: Mantissa bits of a stored mean: precision and size of float16, in a type that netCDF holds.
+MEANS_BITS = 10
+
+_SIDE = "block_side"
+
+
+@documented()
+def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
+    """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
+
+    Lazy. Reads the means that `process` stored beside the line if they are valid, else computes them from the
+    cube.
+
+    Parameters
+    ----------
+    dataset
+    side
+        Lines and columns of a block, at most 32; by default the stored side, else the smallest power of 2
+        from 4 to 32 that leaves at most 1,000 lines.
+
+    Returns
+    -------
+    Dataset
+        ``reflectance`` (along_track, band, cross_track), float32, with the coordinates of the middles of
+        blocks: an ordinary flight line. ``coarse(line).paint.at(650.0)`` is the picture of a band,
+        ``coarse(line).paint.rgb()`` the picture in colour. Its pixel ``(y, x)`` is the mean of the valid
+        pixels of lines ``y * side`` to ``(y + 1) * side`` and those columns. Attributes of ``reflectance``:
+        ``block_side`` is the side, ``level`` is ``stored``, with 11 bits, or ``computed``.
+
+    Raises
+    ------
+    SchemaError
+        The line has neither reflectance nor the variables to compute it; or ``side`` is not 1 to 32.
+
+    Notes
+    -----
+    Stored means are used where the reflectance, or without it the variables that it is computed from, are
+    unchanged since `open_store` opened them.
+
+    Examples
+    --------
+    >>> from hyperpaint.radiometry.pixel_reading import worked_example
+    >>> coarse(worked_example(), side=4).reflectance.values.round(3)
+    array([[[0.4],
+            [0.4],
+            [0.4]]], dtype=float32)
+    """
+    line = rename_to_roles(dataset)
+    if side is not None and not 1 <= side <= CHUNK_LINES:
+        raise SchemaError(
+            f"side={side}",
+            expected=f"1 to {CHUNK_LINES} lines and columns of a block",
+            code="value-out-of-range",
+        )
+    stored = _stored(line, side)
+    if stored is None:
+        line = line if "reflectance" in line.variables else reflectance(line)
+        means = coarse_reflectance(line, side)
+    else:
+        means = stored.transpose(*VARIABLES["coarse_reflectance"].dims)
+    side = int(means.attrs[_SIDE])
+    middle_positions = {
+        dim: np.minimum(np.arange(0, line.sizes[dim], side) + side // 2, line.sizes[dim] - 1)
+        for dim in (ALONG_TRACK, CROSS_TRACK)
+    }
+    small_coordinates = [name for name in line.coords if set(line[name].dims) <= set(CUBE)]
+    labels = line[small_coordinates].isel(middle_positions, missing_dims="ignore")
+    level = "computed" if stored is None else "stored"
+    values = xr.DataArray(means.data.astype(np.float32), dims=CUBE)
+    return labels.assign(reflectance=label(values, "reflectance", **{_SIDE: side, "level": level}))
+
+
+def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArray:
+    # Return the means of blocks of reflectance as they are stored beside a line, lazily.
+    #
+    # One small task per written slab; the same bits for all chunks.
+    import dask.array as da
+
+    cube = line_chunked(require(line, ["reflectance"], "means of blocks")["reflectance"])
+    lines, bands, columns = cube.shape
+    if side is None:
+        side = MIN_BLOCK_SIDE
+        while side < CHUNK_LINES and lines > SCREEN_LINES * side:
+            side *= 2
+    # every task has complete blocks
+    starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])
+    sizes = tuple(np.diff(starts).tolist()) or (0,)
+    slabs = cube.data if sizes == cube.data.chunks[0] else cube.data.rechunk({0: sizes})
+    means = da.map_blocks(
+        _means,
+        slabs,
+        side=side,
+        chunks=(tuple(-(-size // side) for size in sizes), (bands,), (-(-columns // side),)),
+        dtype=np.float32,
+        meta=np.empty((0, 0, 0), np.float32),
+    )
+    spec = VARIABLES["coarse_reflectance"]
+    out = xr.DataArray(means, dims=spec.dims, name=spec.name, attrs={**spec.attrs, _SIDE: side})
+    stamp_means(out, line)
+    return out
+
+
+def _means(values: Array, side: int) -> Array:
+    lines, bands, columns = values.shape
+    out = np.empty((-(-lines // side), bands, -(-columns // side)), np.float32)
+    average_blocks(np.ascontiguousarray(values, np.float32), side, out)
+    return round_bits(out, MEANS_BITS)
+
+
+def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
+    # Return the stored means if they belong to this line and are complete, else None.
+    spec = VARIABLES["coarse_reflectance"]
+    stored = line.get(spec.name)
+    if stored is None or set(stored.dims) != set(spec.dims):
+        return None
+    stored_side = stored.attrs.get(_SIDE)
+    if not isinstance(stored_side, int | np.integer) or stored_side < 1 or side not in (None, stored_side):
+        return None
+    lengths = {"coarse_y": line.sizes.get(ALONG_TRACK, 0), "coarse_x": line.sizes.get(CROSS_TRACK, 0)}
+    is_complete = all(stored.sizes[dim] == -(-length // stored_side) for dim, length in lengths.items())
+    return stored if is_complete and has_own_means(line) else None
+
+
+# --- coarse lines ------------------------------------------------------------------------------------------
+
+
+def worked_example() -> xr.Dataset:
+    # Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).
+    #
+    # E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
+    # peak response 2e16 counts per joule: 1966.09 counts above the dark.
+    gaussian_area = np.sqrt(np.pi / (4 * np.log(2)))
+    etendue, exposure, peak, fwhm = 1.8598e-11, 5e-3, 2.0e16, 6.0
+    gain = 1.0 / (etendue * peak * gaussian_area * fwhm)
+    counts = exposure * 0.4 * 1.3 / np.pi / gain
+    time = np.datetime64("2020-06-21T17:00:00", "ns")
+    variables = {
+        "counts": (CUBE, np.full((1, 3, 3), counts + 100.0, np.float32)),
+        "dark_counts": ((BAND, CROSS_TRACK), np.full((3, 3), 100.0, np.float32)),
+        "radiance_gain": ((BAND, CROSS_TRACK), np.full((3, 3), gain, np.float32)),
+        "exposure_time": ((), exposure),
+        "saturation_count": ((), np.float32(4095.0)),
+        "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), np.full((2, 301), 1.3, np.float32)),
+        "irradiance_fwhm": ((), 3.0),
+    }
+    coords = {
+        "time": (ALONG_TRACK, [time + np.timedelta64(1, "s")]),
+        "wavelength": (BAND, [548.0, 550.0, 552.0]),
+        "fwhm": (BAND, np.full(3, fwhm)),
+        IRRADIANCE_TIME: time + np.array([0, 2], "timedelta64[s]"),
+        IRRADIANCE_WAVELENGTH: np.arange(400.0, 701.0),
+    }
+    line = xr.Dataset(variables, coords)
+    for name in line.variables:
+        line[name].attrs = dict(VARIABLES[str(name)].attrs)
+    return line
+
+
+# --- the worked example ------------------------------------------------------------------------------------
 
 Place = int | slice
 
@@ -38,7 +219,7 @@ def pixels(
     along_track: Place = slice(None),
     cross_track: Place = slice(None),
     *,
-    wavelength: npt.ArrayLike | None = None,
+    wavelength: ArrayLike | None = None,
 ) -> xr.Dataset:
     """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`.
 
@@ -71,14 +252,14 @@ def pixels(
 
     Examples
     --------
-    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> from hyperpaint.radiometry.pixel_reading import worked_example
     >>> line = worked_example()
     >>> pixels(line, 0, 0).reflectance.values.round(3)
     array([0.4, 0.4, 0.4], dtype=float32)
     >>> pixels(line, wavelength=550.0).reflectance.dims
     ('along_track', 'cross_track')
     """
-    line = schema.rename_to_roles(dataset)
+    line = rename_to_roles(dataset)
     selection: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
     entry = _entry_of(line) if {"counts", "radiance"} & set(line.variables) else None
     if wavelength is not None:
@@ -86,7 +267,7 @@ def pixels(
     positions = {dim: _positions(position, line, dim) for dim, position in selection.items()}
     if entry is None:
         names = [name for name in ("reflectance", "quality") if name in line.variables]
-        schema.require(line, names or ["reflectance"], "reflectance of pixels")
+        require(line, names or ["reflectance"], "reflectance of pixels")
         return line[names].isel(positions, missing_dims="ignore").compute(scheduler=scheduler_in_force())
     single = {dim: 0 for dim, position in positions.items() if isinstance(position, int)}
     positions |= {dim: slice(positions[dim], positions[dim] + 1) for dim in single}
@@ -106,7 +287,7 @@ def pixels(
     cube = (
         line.variables["counts"].transpose(*CUBE)
         if is_from_counts
-        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+        else require(line, ["radiance"], "reflectance")["radiance"].variable
     )
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
@@ -127,12 +308,12 @@ def pixels(
         if is_flagged:
             flags.append(quality[rows][:, selected[1]])
     labels = entry.labels.isel(positions, missing_dims="ignore")
-    values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
+    values = label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
     if is_flagged:
         earlier = None
         if "quality" in line.variables:
-            stored = schema.require(line, ["quality"], "reflectance")["quality"]
+            stored = require(line, ["quality"], "reflectance")["quality"]
             part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
             earlier = part.compute(scheduler=scheduler_in_force())
         merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)

@@ -19,8 +19,6 @@ import numpy as np
 import xarray as xr
 from dask.delayed import Delayed
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
@@ -38,10 +36,14 @@ from hyperpaint.base.schema import (
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    SRF_SHAPES,
+    Array,
+    Floats,
     Quality,
+    require,
+    warn_of_lost_calibration,
 )
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record, warn_of_faults
-from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
@@ -53,16 +55,22 @@ from hyperpaint.light.illumination import (
     matched_series,
     smile_cells,
 )
-from hyperpaint.light.sky_functions import sunward_gain
+from hyperpaint.light.sky_functions import ClearSky, sunward_gain
 from hyperpaint.light.sun import solar_position
 from hyperpaint.light.synchrony import UNSTABLE_CHANGE, LineLight, check_irradiance_times, line_light
 
 from . import slabs
-from .linear_counts import TABLE, Linearity, declared_linearity
-from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .panels import Panel
+from .panels import REFUSED, RULES as PANEL_RULES, Panel, PanelClosure, PanelContext, judge_panels
 from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
-from .stray_light import SHIFT_TIME, STRAY_LIGHT, check_stray_light, stray_light_of
+from .stray_light import (
+    SHIFT_TIME,
+    STRAY_LIGHT,
+    TABLE,
+    Linearity,
+    check_stray_light,
+    declared_linearity,
+    stray_light_of,
+)
 from .uncertainty.propagation import error_terms, uncertainty_inputs
 
 # -- Light on a tilted surface under the sky that the irradiance record shows, which may not be clear.
@@ -890,7 +898,7 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
 
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
     # Return the counts or the radiance of a line, and the small variables that calibrate it.
-    schema.warn_of_lost_calibration(dataset, purpose)
+    warn_of_lost_calibration(dataset, purpose)
     is_from_counts = "counts" in dataset.variables
     is_white = purpose == "reflectance" and has_white(dataset)
     required = [*COUNTED] if is_from_counts else ["radiance"]
@@ -904,7 +912,7 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
         optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # for the slope of the responsivity
-    arrays = schema.require(dataset, dict.fromkeys([*required, *optional]), purpose)
+    arrays = require(dataset, dict.fromkeys([*required, *optional]), purpose)
     cube = arrays.pop("counts" if is_from_counts else "radiance")
     if not is_from_counts:
         cube = cube.astype(np.float32)
@@ -931,13 +939,13 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
         names += ["latitude", "longitude"]
     if tilt is not None or has_panels:
         names += [name for name in ("diffuse_fraction", "sky_state") if name in dataset.variables]
-    arrays = schema.require(dataset, names, "reflectance")
+    arrays = require(dataset, names, "reflectance")
     if arrays[IRRADIANCE_TIME].chunks is None:
         check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     values = {name: slabs.small(array) for name, array in arrays.items()}
     for attr in ("srf_shape", "irradiance_srf_shape"):
         values[attr] = str(dataset.attrs.get(attr, "gaussian"))
-        one_of(values[attr], schema.SRF_SHAPES, f"attribute {attr}")
+        one_of(values[attr], SRF_SHAPES, f"attribute {attr}")
     values["departure"] = departure_of_record(dataset.attrs)
     values[FAULTS_ATTR] = str(dataset.attrs.get(FAULTS_ATTR, ""))
     return values

@@ -15,11 +15,10 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, Array, Floats, Quality
 from hyperpaint.kernels.arguments import (
     Calibration,
     DetectorModel,
@@ -35,7 +34,7 @@ from hyperpaint.kernels.arguments import (
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
-from .panel_judging import RULES, PanelClosure
+from .panels import RULES, PanelClosure
 
 # -- Interpolate the scale of panels in time to all lines of a flight line.
 
@@ -277,7 +276,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         out,
     )
     if plan.stray is not None:
-        from hyperpaint.kernels.stray_light import subtract_stray_light
+        from hyperpaint.kernels.radiometry import subtract_stray_light
 
         stray = plan.stray._replace(smear=plan.stray.smear[lines])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)

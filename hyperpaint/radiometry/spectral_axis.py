@@ -4,21 +4,29 @@ The paper smooths with a box. It is available, but not the default: it shifts a 
 Savitzky-Golay filter of the same width (see docs/figures.md).
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, one_of, takes_quantities
+from hyperpaint.base.schema import (
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    Array,
+    ArrayLike,
+    has_own_means,
+    label,
+    rename_to_roles,
+    require,
+    stamp_means,
+    warn_of_lost_calibration,
+)
 from hyperpaint.light.responses import band_spacing, spectral_parts
 
 from .slabs import line_chunked
@@ -35,7 +43,7 @@ class NominalAxis(NamedTuple):
 
 
 @takes_quantities(wavelength="nm")
-def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
+def at(dataset: xr.Dataset, wavelength: ArrayLike) -> xr.Dataset:
     """Return the bands nearest to one or several wavelengths.
 
     Also for axes that are not sorted, as at detector joins, where an index fails.
@@ -59,18 +67,18 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     >>> float(at(cube, 551.2).wavelength)
     551.0
     """
-    dataset = schema.rename_to_roles(dataset)
-    selected = dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
-    if "coarse_reflectance" in dataset.variables and schema.has_own_means(dataset):
-        schema.stamp_means(selected["coarse_reflectance"], selected)  # of the same bands
+    dataset = rename_to_roles(dataset)
+    selected = dataset.isel({BAND: bands_at(dataset, wavelength)})
+    if "coarse_reflectance" in dataset.variables and has_own_means(dataset):
+        stamp_means(selected["coarse_reflectance"], selected)  # of the same bands
     return selected
 
 
-def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
+def bands_at(dataset: xr.Dataset, wavelength: ArrayLike) -> Any:
     # Return the index of the band nearest to a wavelength [nm], or of the bands nearest to several.
     #
     # Raises `SchemaError`: As `at`.
-    centres = schema.require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
+    centres = require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
     targets = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - targets[..., None]).argmin(axis=-1)
     distances = np.abs(centres[nearest] - targets)
@@ -110,8 +118,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Cubic (Lagrange) over the four nearest bands. Nothing is extrapolated: the outermost bands are NaN in
-    columns that do not cover the nominal wavelength, and so is a value if one of its four bands is missing.
+    Cubic (Lagrange) over the four nearest bands of the same part of the axis: a join, an overlap of detectors
+    or a gap separates parts, as in `smooth`. Nothing is extrapolated: the outermost bands of a part are NaN
+    in columns that do not cover the nominal wavelength, and so is a value if one of its bands is missing.
 
     Examples
     --------
@@ -126,7 +135,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     >>> to_nominal(line).reflectance[0, 2].values.round(4)
     array([0.55, 0.55], dtype=float32)
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     SchemaError.raise_if(
         not products,
@@ -135,9 +144,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
         code="variable-missing",
     )
     if "wavelength_shift" not in dataset.variables:
-        schema.warn_of_lost_calibration(dataset, "the spectrum at nominal wavelengths")
+        warn_of_lost_calibration(dataset, "the spectrum at nominal wavelengths")
         return dataset[[*products, *_without_bands(dataset)]]
-    arrays = schema.require(dataset, products, "nominal wavelengths")
+    arrays = require(dataset, products, "nominal wavelengths")
     first, weights = nominal_axis(dataset)
     nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
@@ -145,12 +154,12 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
             _resample,
             line_chunked(arrays[name]),
             kwargs={"first": first, "weights": weights},
-            input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
-            output_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
+            input_core_dims=[[BAND, CROSS_TRACK]],
+            output_core_dims=[[BAND, CROSS_TRACK]],
             dask="parallelized",
             output_dtypes=[np.float32],
         ).drop_vars("wavelength_shift", errors="ignore")
-        nominal[name] = schema.label(resampled, name, spectral_axis="nominal wavelengths")
+        nominal[name] = label(resampled, name, spectral_axis="nominal wavelengths")
     return nominal
 
 
@@ -158,13 +167,13 @@ def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
     # Return the interpolation of a line's columns to nominal wavelengths; reads wavelengths and shifts.
     #
     # Raises `SchemaError`: ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
-    arrays = schema.require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
+    arrays = require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
     shift = np.atleast_2d(arrays["wavelength_shift"].values)
     return NominalAxis(*_lagrange_weights(arrays["wavelength"].values, shift))
 
 
 def _without_bands(dataset: xr.Dataset) -> list[str]:
-    return [str(name) for name, array in dataset.data_vars.items() if schema.BAND not in array.dims]
+    return [str(name) for name, array in dataset.data_vars.items() if BAND not in array.dims]
 
 
 def _resample(values: Array, *, first: Array, weights: Array) -> Array:
@@ -182,33 +191,47 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
         bands < 4, f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few"
     )
     axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
-    is_descending = wavelength[0] > wavelength[-1]
-    axis = axis[::-1] if is_descending else axis
+    first = np.empty((bands, columns), np.int64)
+    weights = np.zeros((bands, columns, 4))
+    for part in _ordered_parts(wavelength):
+        # descending wavelengths increase with the other sign; the weights do not depend on it
+        sign = -1.0 if wavelength[part][0] > wavelength[part][-1] else 1.0
+        part_axis, nominal = sign * axis[part], sign * wavelength[part]
+        SchemaError.raise_if(
+            not (np.diff(part_axis, axis=0) > 0).all(),
+            "wavelengths are not in order in every column",
+            mend="correct wavelength_shift",
+            code="wavelength-unordered",
+        )
+        taps = min(4, nominal.size)
+        for column, nodes in enumerate(part_axis.T):
+            start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, nominal.size - taps)
+            tap_nodes = nodes[start[:, None] + np.arange(taps)]
+            first[part, column] = np.minimum(part.start + start, bands - 4)
+            # a short part at the end has its bands among the last of four
+            skipped = part.start + start - first[part, column]
+            for k in range(taps):
+                other_taps = [j for j in range(taps) if j != k]
+                weights[np.arange(part.start, part.stop), column, skipped + k] = np.prod(
+                    (nominal[:, None] - tap_nodes[:, other_taps])
+                    / (tap_nodes[:, [k]] - tap_nodes[:, other_taps]),
+                    axis=1,
+                )
+            weights[part, column][(nominal < nodes[0]) | (nominal > nodes[-1])] = np.nan
+    return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
+
+
+def _ordered_parts(wavelength: Array) -> list[slice]:
+    # Return the parts of an axis between joins, overlaps and gaps; raises SchemaError for bands in no order.
+    parts = spectral_parts(wavelength)
     SchemaError.raise_if(
-        not (np.diff(axis, axis=0) > 0).all(),
-        "wavelengths are not in order",
-        mend="split the cube at detector joins before interpolating between bands",
+        len(parts) > max(6, wavelength.size // 20),
+        f"wavelengths run back or have gaps in {len(parts) - 1} places",
+        expected="bands in the order of their wavelengths",
+        mend="sort them: .sortby('wavelength')",
         code="wavelength-unordered",
     )
-    nominal = wavelength[::-1] if is_descending else wavelength
-    first = np.empty((bands, columns), np.int64)
-    weights = np.empty((bands, columns, 4))
-    for column in range(columns):
-        nodes = axis[:, column]
-        start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, bands - 4)
-        tap_nodes = nodes[start[:, None] + np.arange(4)]
-        for k in range(4):
-            other_taps = [j for j in range(4) if j != k]
-            weights[:, column, k] = np.prod(
-                (nominal[:, None] - tap_nodes[:, other_taps])
-                / (tap_nodes[:, [k]] - tap_nodes[:, other_taps]),
-                axis=1,
-            )
-        first[:, column] = start
-        weights[(nominal < nodes[0]) | (nominal > nodes[-1]), column] = np.nan
-    if is_descending:
-        first, weights = bands - 4 - first[::-1], weights[::-1, :, ::-1]
-    return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
+    return parts
 
 
 @takes_quantities()
@@ -260,11 +283,11 @@ def smooth(
     >>> print(smooth(step, "box", 3).reflectance.values.round(2))
     [0.   0.   0.33 0.67 1.   1.  ]
     """
-    if schema.BAND not in dataset.dims:
-        dataset = schema.rename_to_roles(dataset)
+    if BAND not in dataset.dims:
+        dataset = rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)
-    sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {schema.BAND: window}
-    bands, orders = sizes.get(schema.BAND, window), f"0 to {window - 2} for a window of {window}"
+    sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
+    bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
     if "reflectance" not in dataset.variables:
         mend = "call .paint.reflectance() first"
         problems.add("'reflectance' is missing", mend=mend, code="variable-missing")
@@ -276,38 +299,38 @@ def smooth(
             "an odd number of bands, 3 or more",
             "value-out-of-range",
         ),
-        (schema.BAND in sizes, f"'reflectance' has dims {tuple(sizes)}", "a dim 'band'", "dim-missing"),
+        (BAND in sizes, f"'reflectance' has dims {tuple(sizes)}", "a dim 'band'", "dim-missing"),
         (window <= bands, f"window {window} is wider than the {bands} bands", "", "value-out-of-range"),
         (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
     ):
         problems.add_if(not is_valid, found, expected=expected, code=code)
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
-    is_cube = set(schema.CUBE) == set(array.dims)
+    is_cube = set(CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array
-    core = [schema.BAND, schema.CROSS_TRACK] if is_cube else [schema.BAND]
-    good = xr.DataArray(np.ones(bands, bool), dims=schema.BAND)
-    axis = xr.DataArray(np.arange(float(bands)), dims=schema.BAND)
-    if "wavelength" in dataset.variables and dataset["wavelength"].dims == (schema.BAND,):
+    core = [BAND, CROSS_TRACK] if is_cube else [BAND]
+    good = xr.DataArray(np.ones(bands, bool), dims=BAND)
+    axis = xr.DataArray(np.arange(float(bands)), dims=BAND)
+    if "wavelength" in dataset.variables and dataset["wavelength"].dims == (BAND,):
         axis = dataset["wavelength"]
     inputs = (
         source,
         dataset.get("good", good).reset_coords(drop=True),
         axis.reset_coords(drop=True),
     )
-    arrays = [each.chunk({schema.BAND: -1}) if each.chunks else each for each in inputs]
+    arrays = [each.chunk({BAND: -1}) if each.chunks else each for each in inputs]
     filtered = xr.apply_ufunc(
         _filter,
         *arrays,
         kwargs={"is_cube": is_cube, "method": method, "window": window, "order": order},
-        input_core_dims=[core, [schema.BAND], [schema.BAND]],
+        input_core_dims=[core, [BAND], [BAND]],
         output_core_dims=[core],
         dask="parallelized",
         output_dtypes=[np.float32],
         keep_attrs=True,
     ).transpose(*array.dims)
     text = f"box, {window} bands" if method == "box" else f"Savitzky-Golay, {window} bands, order {order}"
-    attrs = {**array.attrs, **schema.VARIABLES["reflectance"].attrs, "smoothing": text}
+    attrs = {**array.attrs, **VARIABLES["reflectance"].attrs, "smoothing": text}
     if "unc_comps" in attrs:
         # filtered noise is smaller, and correlated from band to band
         attrs["unc_comps"] = [name for name in attrs["unc_comps"] if name != "reflectance_u_random"]
@@ -317,8 +340,8 @@ def smooth(
 
 def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
     # Return the matrix of `smooth` for spectra without gaps (band, band), for its ``options``.
-    single = xr.DataArray(np.eye(good.size, dtype=np.float32), dims=("of", schema.BAND), attrs={"units": "1"})
-    filtered = smooth(xr.Dataset({"reflectance": single, "good": (schema.BAND, good)}), **options)
+    single = xr.DataArray(np.eye(good.size, dtype=np.float32), dims=("of", BAND), attrs={"units": "1"})
+    filtered = smooth(xr.Dataset({"reflectance": single, "good": (BAND, good)}), **options)
     return np.asarray(filtered["reflectance"].values.T)
 
 
@@ -327,14 +350,7 @@ def _filter(
 ) -> Array:
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
-    parts = spectral_parts(wavelength)
-    SchemaError.raise_if(
-        len(parts) > max(6, wavelength.size // 20),
-        f"wavelengths run back or have gaps in {len(parts) - 1} places",
-        expected="bands in the order of their wavelengths",
-        mend="sort them: .sortby('wavelength')",
-        code="wavelength-unordered",
-    )
+    parts = _ordered_parts(wavelength)
     spectra = values.astype(np.float32, copy=False)
     # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:

@@ -36,11 +36,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import is_plain_file, open_input, read_limited
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Bools, Floats, Ints, numbers_of
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.locating import POSE, locate
 from hyperpaint.io.files.publishing import publish_file

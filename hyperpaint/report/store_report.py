@@ -28,7 +28,6 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, StoreError, warn_user
 from hyperpaint.base.facts import documented
@@ -40,6 +39,8 @@ from hyperpaint.base.schema import (
     BAND,
     CROSS_TRACK,
     SIGNATURE,
+    Array,
+    Progress,
     Quality,
     numbers_of,
     rename_to_roles,
@@ -47,10 +48,8 @@ from hyperpaint.base.schema import (
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file, published_folder
 from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified, to_store
-from hyperpaint.io.store.groups import version_of_program
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import store_state
-from hyperpaint.io.store.reader import place_of
+from hyperpaint.io.store.manifest import Location, store_state
+from hyperpaint.io.store.reader import place_of, version_of_program
 from hyperpaint.light.daylight_colours import srgb_hex
 from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of

@@ -1,7 +1,7 @@
 """Light of the sky, with spectral structure finer than any instrument here, clouds, and haze.
 
 The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Their level is that
-of `hyperpaint.light.clear_sky`, a table at 1 nm; here it gets lines far narrower than the instruments, as in
+of `hyperpaint.light.sky_functions`, a table at 1 nm; here are lines far narrower than the instruments, as in
 nature, so that a mismatch cannot hide behind shared interpolation. The oxygen A and B bands follow from the
 rotational constants of O2 (Herzberg 1950), with the sharp band head at its place; water lines and weak solar
 lines have random, fixed positions; strong Fraunhofer lines have their true ones. Every cell of 1 nm is scaled
@@ -62,7 +62,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import (
     FormatError,
     Problems,
@@ -71,12 +70,19 @@ from hyperpaint.base.errors import (
     needs_extra,
     warn_user,
 )
-from hyperpaint.base.facts import Fact, check_fields, check_values, declared, fact, one_of
+from hyperpaint.base.facts import (
+    Fact,
+    check_fields,
+    check_values,
+    conversion_factor,
+    convert,
+    declared,
+    fact,
+    one_of,
+)
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import require
-from hyperpaint.base.units import conversion_factor, convert
-from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
-from hyperpaint.light.sky_functions import clear_sky_shares, fit_sky
+from hyperpaint.base.schema import Floats, require
+from hyperpaint.light.sky_functions import TABLE_AIR_MASS, ClearSky, clear_sky_shares, fit_sky, sunlight_table
 from hyperpaint.simulation.settings import moment_of
 
 from .settings import MAX_SEED

@@ -40,9 +40,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
+from hyperpaint.base.schema import Floats
 
 from .atmosphere import spectral_grid
 from .settings import SHAPES, OpticsSettings, SimulationSettings, finite_floats

@@ -24,7 +24,6 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import head_of, input_path, read_limited
@@ -36,6 +35,7 @@ from hyperpaint.base.schema import (
     SWEEP_VARIABLES,
     TIME_UNITS,
     VARIABLES,
+    Progress,
     Variable,
 )
 

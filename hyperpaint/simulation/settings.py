@@ -12,9 +12,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import Spelling, as_argument, check_fields, declared, fact, is_number
+from hyperpaint.base.schema import Array, Floats
 
 #: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")

@@ -17,12 +17,10 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_reflection
-from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE, Floats
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
 from hyperpaint.light.sky_functions import (

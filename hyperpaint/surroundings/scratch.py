@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import StoreError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Array, Progress
 
 if TYPE_CHECKING:
     import dask.array as da

@@ -19,13 +19,24 @@ import xarray as xr
 from scipy.ndimage import binary_dilation, find_objects, label
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, is_number
+from hyperpaint.base.facts import documented, is_number, takes_quantities
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.progress_reports import as_progress
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, flags_set_from
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Progress,
+    Quality,
+    flags_set_from,
+)
 from hyperpaint.kernels import arguments
 from hyperpaint.kernels.segmentation import boundary_distance, nearest_sources
 from hyperpaint.kernels.unmixing import PARTS, average_bands, unmix_lines

@@ -24,9 +24,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import (
     BODY,
     EXCLUDED,
@@ -36,8 +35,7 @@ from hyperpaint.base.mirrored_light import (
     THROUGH_COAT,
     mirror_reflection,
 )
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, find, require
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Floats, find, require
 from hyperpaint.light.coat_transmission import (
     COAT_INDEX,
     COAT_INDEX_U,

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import CROSS_TRACK, label
+from hyperpaint.base.schema import CROSS_TRACK, Floats, label
 from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import (
@@ -31,8 +30,7 @@ from hyperpaint.io.collect.collect_toml import (
 )
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 from hyperpaint.io.flightline.calibration_store import open_sweep
-from hyperpaint.io.flightline.dark import Reference, read_reference
-from hyperpaint.io.flightline.timing import Timing
+from hyperpaint.io.flightline.flightline_opening import Reference, Timing, read_reference
 from hyperpaint.io.spectrometers.record_faults import RECORD
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.store import to_store
@@ -41,8 +39,7 @@ from hyperpaint.pictures.figures import check_picture
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry import white_reference
 from hyperpaint.radiometry.counts_to_reflectance import panel_closure
-from hyperpaint.radiometry.panel_judging import RULES
-from hyperpaint.radiometry.panels import declared_panels
+from hyperpaint.radiometry.panels import RULES, declared_panels
 from hyperpaint.radiometry.planning import has_white
 
 

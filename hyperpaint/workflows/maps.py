@@ -16,16 +16,17 @@ from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files
-from hyperpaint.io.maps.geotiff import CACHE_BYTES, draw_geotiff
 from hyperpaint.io.maps.map_grids import (
+    CACHE_BYTES,
     RASTER_FORMATS,
     RGB_WAVELENGTHS,
+    draw_geotiff,
     geozarr_attrs,
     nearest_bands,
+    read_heights,
     stac_item,
     with_own_transform,
 )
-from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 #: Prefix of the groups of flight lines.

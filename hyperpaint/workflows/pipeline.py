@@ -71,10 +71,8 @@ from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, is_complete, open_group
 from hyperpaint.io.store.budget import Demand, limited_threads, parse_size
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
-from hyperpaint.io.store.groups import check_above, groups_above, version_of_program
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of, numerics_of
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of, numerics_of
 from hyperpaint.io.store.raw_references import (
     RawFile,
     VirtualCube,
@@ -86,13 +84,14 @@ from hyperpaint.io.store.raw_references import (
     virtual_groups,
     write_icechunk,
 )
+from hyperpaint.io.store.reader import check_above, groups_above, version_of_program
 from hyperpaint.io.store.stage import Staging, staging
 from hyperpaint.io.store.writer import WholeRun, check_codec, check_room, run_contents, whole_run
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS
-from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
+from hyperpaint.radiometry.pixel_reading import coarse_reflectance
 from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.surroundings.surveying import flag_line

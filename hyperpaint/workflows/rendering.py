@@ -44,7 +44,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats, Floats32, round_bits
 from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import FormatError, PaintError, Problem, Problems, SchemaError, StoreError
 from hyperpaint.base.facts import (
@@ -70,6 +69,9 @@ from hyperpaint.base.schema import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     VARIABLES,
+    Floats,
+    Floats32,
+    round_bits,
 )
 from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.dirsig.dirsig_files import read_materials

@@ -9,8 +9,8 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
+from hyperpaint.base.facts import plain
 from hyperpaint.base.schema import require
-from hyperpaint.base.units import plain
 
 NM = np.linspace(400.0, 1000.0, 31)
 TRUE = np.linspace(0.1, 0.5, 31)

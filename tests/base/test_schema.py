@@ -9,8 +9,8 @@ from support.refusals import expect_error, expect_words
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import canonical
 from hyperpaint.base.schema import VARIABLES, Quality, label, rename_to_roles, require
-from hyperpaint.base.units import canonical
 
 
 def test_every_row_is_whole() -> None:

@@ -10,9 +10,9 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support.refusals import expect_error, expect_errors
 
-from hyperpaint.base import schema, units
+from hyperpaint.base import facts, schema
 from hyperpaint.base.errors import MissingExtraError, UnitsError
-from hyperpaint.base.units import canonical, conversion_factor, convert, quantify, registry, same_dimension
+from hyperpaint.base.facts import canonical, conversion_factor, convert, quantify, registry, same_dimension
 
 RADIANCE = "W m-2 sr-1 nm-1"
 
@@ -52,8 +52,8 @@ def test_spellings(found: str, wanted: str, factor: float) -> None:
 
 
 def test_usual_factors_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = dict(units._USUAL_FACTORS)
-    monkeypatch.setattr(units, "_USUAL_FACTORS", {})
+    usual = dict(facts._USUAL_FACTORS)
+    monkeypatch.setattr(facts, "_USUAL_FACTORS", {})
     assert usual == {pair: conversion_factor(*pair) for pair in usual}
 
 
@@ -125,7 +125,7 @@ HOSTILE = [
 def test_hostile_text_is_refused_at_once() -> None:
     # in a process of its own, which can be ended
     code = (
-        "import sys\nfrom hyperpaint.base.units import conversion_factor, same_dimension\n"
+        "import sys\nfrom hyperpaint.base.facts import conversion_factor, same_dimension\n"
         "from hyperpaint.base.errors import UnitsError\n"
         f"for text in {HOSTILE!r}:\n"
         "    try:\n        conversion_factor(text, 'm'); sys.exit(f'accepted {text!r}')\n"

@@ -16,8 +16,8 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, UnitsError
-from hyperpaint.base.units import conversion_factor, in_units, plain, quantify
-from hyperpaint.radiometry.example_pixel import worked_example
+from hyperpaint.base.facts import conversion_factor, in_units, plain, quantify
+from hyperpaint.radiometry.pixel_reading import worked_example
 
 pint = pytest.importorskip("pint")
 

@@ -20,7 +20,7 @@ from hyperpaint.calibration import (
 )
 from hyperpaint.calibration.elements import interpolate_nodes, monotone_slopes
 from hyperpaint.io.flightline.calibration_store import open_calibration
-from hyperpaint.radiometry.linear_counts import Linearity
+from hyperpaint.radiometry.stray_light import Linearity
 from hyperpaint.simulation import simulate_sweep
 
 ELEMENT = ("band", "cross_track")

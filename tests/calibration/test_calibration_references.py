@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.base.units import convert
+from hyperpaint.base.facts import convert
 from hyperpaint.calibration import anchor_to_radiance, calibration_from_coefficients, flat_field
 from hyperpaint.calibration.line_fits import Light, NoiseModel, Window, fit_wavelength_map, fit_window
 from hyperpaint.io.envi.envi_cubes import open_envi

@@ -218,7 +218,7 @@ def judge_right(seed: int, count: int, only: str = "") -> list[tuple[str, int, l
 def judge_real(data: Path) -> dict[str, list[str]]:
     # Return what is said of real files: counts and darks of two cameras, cubes, a sky record, poses
     from hyperpaint.io.envi.envi_cubes import open_envi
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
+    from hyperpaint.io.navigation.navigation_records import open_navigation
     from hyperpaint.plausibility.line_judging import (
         judge_bands,
         judge_dark,

@@ -13,8 +13,8 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, SchemaError
+from hyperpaint.base.facts import plain
 from hyperpaint.base.schema import Quality
-from hyperpaint.base.units import plain
 from hyperpaint.geometry.georeference.locating import grid_of, terrain_of
 
 COLUMNS = 21

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from hyperpaint.kernels.arguments import Places
-from hyperpaint.kernels.inverse_map import gather_bilinear, gather_nearest
+from hyperpaint.kernels.rays import gather_bilinear, gather_nearest
 
 
 def pixels(count: int, lines: int, columns: int, seed: int = 0):

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells
-from hyperpaint.kernels.inverse_map import FIRST, LAST, NADIR, fill_between, invert_lines
+from hyperpaint.kernels.rays import FIRST, LAST, NADIR, fill_between, invert_lines
 
 UNIT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])  # metres to the east are columns, to the north rows
 

@@ -7,7 +7,7 @@ import pytest
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.clear_sky import ClearSky, ozone_mass, sunlight_table
+from hyperpaint.light.sky_functions import ClearSky, ozone_mass, sunlight_table
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation.atmosphere import (
     GRID_STEP,

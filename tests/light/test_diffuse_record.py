@@ -8,8 +8,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record, split_of_lines
+from hyperpaint.light.sky_functions import ClearSky
 from hyperpaint.light.sun import air_mass, solar_position
 from hyperpaint.simulation import simulate_line
 

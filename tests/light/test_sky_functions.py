@@ -5,8 +5,8 @@ import pytest
 from oracles.scattered_sky import Air, sky_radiance
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sky_functions import (
+    ClearSky,
     clear_sky_shares,
     function_shapes,
     relative_radiance,

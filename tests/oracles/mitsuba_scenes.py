@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import Floats
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.rendering.relighting import factor_spectra

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
-from hyperpaint.light.clear_sky import ClearSky
+from hyperpaint.light.sky_functions import ClearSky
 from hyperpaint.plausibility import KINDS
 from hyperpaint.plausibility.line_judging import CubeSample, judge_dark
 from hyperpaint.plausibility.product_judging import Product, judge_product
@@ -40,15 +40,17 @@ def _product(factor: float = 1.0, white: float = 0.0, **changes: Any) -> Product
     sky = np.stack([_sky(NM + shift) for shift in SHIFT], axis=1)
     light = 4000.0 * ground * sky / GAIN
     right = Product(
-        light + RNG.normal(size=light.shape) * np.sqrt(light / 320.0), GAIN, NM, 128, 1, factor * ground, 1.0,
-        40.0, SHIFT, _sky,
+        light + RNG.normal(size=light.shape) * np.sqrt(light / 320.0), GAIN, NM, 128, 1, factor * ground,
+        np.full(BANDS, 1.2 * factor), 1.0, 40.0, SHIFT, _sky,
     )  # fmt: skip
     return right._replace(**changes)
 
 
-def _blocked(columns: int, share: float) -> Product:
+def _blocked(columns: int, share: float, wander: float = 0.0) -> Product:
+    # ``wander``: amplitude of the logarithm of the ground's own step there, from block to block
     product = _product()
-    return product._replace(light=product.light * np.where(np.arange(COLUMNS) < columns, 1.0, share))
+    step = np.log(share) + wander * np.cos(np.pi * np.arange(8.0))[:, None, None]
+    return product._replace(light=product.light * np.exp(np.where(np.arange(COLUMNS) < columns, 0.0, step)))
 
 
 def _edge(columns: int) -> Product:
@@ -63,7 +65,7 @@ def _edge(columns: int) -> Product:
     [
         (_product(), set()),
         (_product(white=0.95), set()),
-        (_product(0.1), set()),
+        (_product(0.1, full_scale=None), set()),
         (_product(2.0), set()),
         (_product(1.6, zenith=75.0), set()),
         (_product(divisor=16), set()),
@@ -72,6 +74,7 @@ def _edge(columns: int) -> Product:
         (_edge(17), set()),
         (_product(np.pi), {"reflectance-level"}),
         (_product(1.6, white=0.95), {"reflectance-level"}),
+        (_product(0.1), {"reflectance-level"}),
         (_product(0.01), {"reflectance-level"}),
         (_product(20.0, share=0.05), {"reflectance-impossible"}),
         (_product(1000.0), {"reflectance-impossible"}),
@@ -85,6 +88,9 @@ def _edge(columns: int) -> Product:
         (_product(shift=0.5 * SHIFT), set()),
         (_blocked(17, 0.5), {"swath-step"}),
         (_blocked(30, 0.88), {"swath-step"}),
+        (_blocked(17, 0.3, wander=0.07), {"swath-step"}),
+        (_blocked(17, 0.3, wander=0.3), set()),
+        (_blocked(17, 0.85, wander=0.07), set()),
     ],
 )
 def test_products_that_pass_and_those_that_are_named(product: Product, named: set[str]) -> None:

@@ -52,12 +52,32 @@ def test_no_smile_is_no_work_and_what_cannot_be_is_refused() -> None:
     made = to_nominal(plain)
     xr.testing.assert_identical(made.reflectance, plain.reflectance)
     assert "counts" not in made
-    joined = dataset.isel(band=[0, 1, 2, 6, 5, 7, 8])
+    shuffled = dataset.isel(band=np.random.default_rng(3).permutation(13))
+    crossed = dataset.assign_coords(
+        wavelength_shift=(("band", "cross_track"), 6.0 * np.eye(13, 4), {"units": "nm"})
+    )
     expect_refusals(
         (SchemaError, "variable-missing", lambda: to_nominal(dataset.drop_vars("reflectance"))),
         (SchemaError, "bands-too-few", lambda: to_nominal(dataset.isel(band=slice(0, 3)))),
-        (SchemaError, "wavelength-unordered", lambda: to_nominal(joined)),
+        (SchemaError, "wavelength-unordered", lambda: to_nominal(shuffled)),
+        (SchemaError, "wavelength-unordered", lambda: to_nominal(crossed)),
     )
+
+
+@pytest.mark.parametrize(
+    "detectors", [(range(8), range(6, 13)), (range(12, 6, -1), range(7, -1, -1)), (range(11), range(10, 13))]
+)
+def test_detectors_in_one_cube_are_interpolated_apart(detectors: tuple[range, ...]) -> None:
+    dataset, _ = smiling(1)
+    joined = to_nominal(dataset.isel(band=[band for bands in detectors for band in bands])).reflectance
+    start = 0
+    for bands in detectors:
+        found, start = joined.isel(band=slice(start, start + len(bands))), start + len(bands)
+        if len(bands) > 3:
+            np.testing.assert_array_equal(found, to_nominal(dataset.isel(band=list(bands))).reflectance)
+        np.testing.assert_array_equal(found[0, :, 1], dataset.reflectance[0, list(bands), 1])
+        error = np.abs(found - dataset.reflectance.isel(band=list(bands), cross_track=[1]).values)
+        assert float(error.max()) < 3e-3
 
 
 def test_at_takes_the_nearest_bands_of_any_axis() -> None:

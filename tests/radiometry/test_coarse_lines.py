@@ -15,7 +15,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.store.layout import storage_chunks
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.pictures.exploring import Explored
-from hyperpaint.radiometry.coarse_lines import coarse, coarse_reflectance
+from hyperpaint.radiometry.pixel_reading import coarse, coarse_reflectance
 
 
 def plain_means(cube: np.ndarray, side: int) -> np.ndarray:

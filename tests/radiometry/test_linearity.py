@@ -13,7 +13,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.calibration import linearity
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration, scale_attrs
 from hyperpaint.kernels.arguments import SlabOutputs
-from hyperpaint.radiometry.linear_counts import Linearity
+from hyperpaint.radiometry.stray_light import Linearity
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 # exact signals, which no converter rounds

@@ -11,7 +11,7 @@ from support.strategies import START, flight
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.radiometry import panel_closure
-from hyperpaint.radiometry.panel_judging import PANEL_STATES, PanelContext, judge_panels
+from hyperpaint.radiometry.panels import PANEL_STATES, PanelContext, judge_panels
 
 SEED = 7301
 

@@ -12,7 +12,7 @@ import hyperpaint as hp
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.radiometry import panel_closure
-from hyperpaint.radiometry.panel_judging import PANEL_STATES
+from hyperpaint.radiometry.panels import PANEL_STATES
 
 Image = pytest.importorskip("PIL.Image", reason="pillow, which reads the camera's TIFF, comes with extra viz")
 

@@ -16,8 +16,8 @@ from hyperpaint.radiometry.counts_to_reflectance import (
     radiance,
     reflectance,
 )
-from hyperpaint.radiometry.example_pixel import worked_example
 from hyperpaint.radiometry.panels import Panel
+from hyperpaint.radiometry.pixel_reading import worked_example
 
 
 def above(line: xr.Dataset) -> np.ndarray:

@@ -11,7 +11,7 @@ from support.laid_panels import Laid, flown_over
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.radiometry.panel_judging import PanelClosure
+from hyperpaint.radiometry.panels import PanelClosure
 from hyperpaint.radiometry.slabs import panel_correction
 
 SEED = 5521

@@ -454,6 +454,8 @@ TRUE_FLAGS = {
     "edge of a cloud in the line": {"illumination_unstable", "timing_sensitive"},
     "low sun": {"low_sun"},
     "sun at 75 degrees": {"low_sun"},
+    "cloud before the line": {"timing_sensitive"},  # 20 s before, within the 40 s of an unknown clock
+    "spectrometer": {"timing_sensitive"},  # 5 % a minute, without an uncertainty of the clock
     "optics": {"bad_detector"},
 }
 

@@ -33,4 +33,4 @@ ALONE: dict[str, set[str]] = {
 }
 #: What the simulator may know of the light: the sky itself, which renderer and corrections must mean alike.
 #: What the chain does with light (matching, splits, responses) it must not see.
-SKY = {"light.clear_sky", "light.sky_functions"}
+SKY = {"light.sky_functions"}

@@ -15,8 +15,7 @@ from hyperpaint.kernels.arguments import (
     rounding,
     without_empty_arrays,
 )
-from hyperpaint.kernels.linear_counts import round_row
-from hyperpaint.kernels.radiometry import calibrate_slab
+from hyperpaint.kernels.radiometry import calibrate_slab, round_row
 
 NO_MODEL = DetectorModel(
     *[np.empty(0, np.float32)] * 2,

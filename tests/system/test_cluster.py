@@ -31,7 +31,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.base.schema import CUBE
 from hyperpaint.io.store import computing, layout
-from hyperpaint.io.store.chunks import is_mendable
+from hyperpaint.io.store.computing import is_mendable
 
 distributed = pytest.importorskip("distributed")
 

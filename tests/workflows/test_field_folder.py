@@ -17,7 +17,7 @@ from support.refusals import expect_error, expect_errors, expect_refusals, expec
 
 import hyperpaint as hp
 from hyperpaint.io.files.publishing import publish_file
-from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.io.maps.map_grids import read_geotiff_header
 from hyperpaint.surroundings.surveying import flag_line, without_scene_flags
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day

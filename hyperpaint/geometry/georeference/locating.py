@@ -22,13 +22,23 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M, lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError, TimeError, UnitsError, needs_extra, warn_user
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.base.facts import conversion_factor, convert, documented, one_of, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    Quality,
+    label,
+    require,
+)
 from hyperpaint.io.files.reading import numbers
 from hyperpaint.io.maps.map_grids import cut_at_dateline
 from hyperpaint.kernels.arguments import BLOCK, LineFrames, LineRays, Raster

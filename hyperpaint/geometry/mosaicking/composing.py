@@ -21,11 +21,20 @@ import xarray as xr
 from dask._task_spec import convert_legacy_graph, cull
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, one_of, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    Progress,
+    Quality,
+)
 from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, locate
 from hyperpaint.geometry.orthorectification.mapping import (
     NORTH,

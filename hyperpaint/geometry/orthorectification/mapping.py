@@ -21,27 +21,30 @@ from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
     CUBE,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    Progress,
     Quality,
     dtype_of,
     label,
     numbers_of,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, line_slabs, locate
 from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
-from hyperpaint.kernels.inverse_map import fill_between, gather_bilinear, gather_nearest, invert_lines
+from hyperpaint.kernels.rays import fill_between, gather_bilinear, gather_nearest, invert_lines
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
@@ -125,7 +128,7 @@ class MapGrid:
 
     @property
     def frame(self) -> Floats:
-        """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
+        """Transform from map coordinates to cells, see `hyperpaint.kernels.rays`."""
         east, north = self._place(0.5, 0.5)
         return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
 
@@ -307,7 +310,7 @@ def _computed_survey(
 def _survey_of_slabs(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
     # Return survey rows of slabs (line, `_COLUMNS`), and their first and last pixels, as an array of one
     # object.
-    from hyperpaint.kernels.inverse_map import look_at_lines
+    from hyperpaint.kernels.rays import look_at_lines
 
     out = np.full((sum(map(len, easts)), _COLUMNS), np.nan)
     frame = np.array([*axes.anchor, *axes.right, *axes.down])

@@ -31,9 +31,14 @@ from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.files.reading import is_pattern
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.io.flightline.calibration_store import open_calibration
-from hyperpaint.io.flightline.flightline_opening import BLANK_COUNT, FlightlineInputs, assemble
+from hyperpaint.io.flightline.flightline_opening import (
+    BLANK_COUNT,
+    FlightlineInputs,
+    Timing,
+    assemble,
+    utc_of,
+)
 from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
-from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import UncoveredError, cut_irradiance, open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra

@@ -28,12 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, Array, Floats
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
 
 #: Line before every curve in the new layout of an ``.ems`` file.
@@ -77,7 +75,7 @@ class ColumnText:
     b'0.4000000\t0.250000\n0.7025000\t1.000000\n'
     """
 
-    def __init__(self, wavelength: Sequence[float] | npt.NDArray[Any], title: str = "") -> None:
+    def __init__(self, wavelength: Sequence[float] | Array, title: str = "") -> None:
         micrometres = [f"{nm / 1000.0:.{WAVELENGTH_DECIMALS}f}" for nm in np.asarray(wavelength, float)]
         pairs = itertools.pairwise(micrometres)
         if equal := next((text for text, following in pairs if float(following) <= float(text)), ""):
@@ -98,7 +96,7 @@ class ColumnText:
             self._runs.append((slice(start, start + count * width), slice(row, row + count), width))
             start, row = start + count * width, row + count
 
-    def text(self, values: npt.NDArray[Any]) -> bytes:
+    def text(self, values: Array) -> bytes:
         # Return the text of spectra (spectrum, wavelength) between 0 and 1.
         digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
         texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)
@@ -189,13 +187,16 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         )
         for angle in np.flatnonzero(np.isnan(weights))[:_MAX_SHOWN].tolist()
     )
-    problems.add_if(
-        np.isinf(weights).any() or (weights < 0.0).any(),
-        "a weight of a view angle is negative or not finite",
-        expected="0 or more",
-        code="value-out-of-range",
+    problems.raise_if_any(
+        (
+            np.isinf(weights).any() or (weights < 0.0).any(),
+            Problem(
+                "a weight of a view angle is negative or not finite",
+                expected="0 or more",
+                code="value-out-of-range",
+            ),
+        ),
     )
-    problems.raise_if_any()
     body = lines[-1]
     # Layout, and curves after the weights
     start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1  # first line with text
@@ -510,8 +511,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         Problem(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
         for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]
     )
-    problems.add_if(not top, "there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
-    problems.raise_if_any()
+    problems.raise_if_any(
+        (not top, Problem("there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")),
+    )
     return tuple(materials)
 
 

@@ -3,8 +3,6 @@
 Reflectance is written ascending, without gaps, and with the clear coat counted once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -18,15 +16,12 @@ from xml.sax.saxutils import escape, quoteattr
 import jinja2
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, StoreError, warn_user
-from hyperpaint.base.facts import documented, is_number, one_of
+from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Ints, Variable, require
 from hyperpaint.io.files.publishing import published_folder
 
 from .dirsig_files import (
@@ -1056,9 +1051,7 @@ _FOLDERS = (
 )
 
 
-def _surfaces(
-    scene: Any, repaint: dict[str, str], *, with_roughness: bool
-) -> tuple[list[_Surface], NDArray[np.int64]]:
+def _surfaces(scene: Any, repaint: dict[str, str], *, with_roughness: bool) -> tuple[list[_Surface], Ints]:
     # Distinct surfaces, and the index of the surface of every face (face,)
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
@@ -1193,7 +1186,7 @@ _GRAIN_PX = 3.0  # standard deviation of the Gaussian blur of the noise in a pic
 
 
 def obj_lines(
-    scene: Any, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
+    scene: Any, material_id: Sequence[str], face_id: Ints, library: str, texture_m: float
 ) -> Iterator[str]:
     # Yield the lines of a scene as Wavefront OBJ, one object per instance.
     # ``face_id`` (face,): index of the face's material in ``material_id``; ``library``: the ``.mtl`` file.
@@ -1204,7 +1197,7 @@ def obj_lines(
     # distinct pairs of a vertex and the plane of its face: 0, 1 or 2 for the plane across x, y or z
     corners = scene.vertices[scene.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    plane: NDArray[np.int64] = np.argmax(np.abs(normals), axis=1, keepdims=True)
+    plane: Ints = np.argmax(np.abs(normals), axis=1, keepdims=True)
     projected, texture = np.unique(scene.faces + plane * len(scene.vertices), return_inverse=True)
     axes = np.array([(1, 2), (0, 2), (0, 1)])[projected // len(scene.vertices)]
     points = np.take_along_axis(scene.vertices[projected % len(scene.vertices)], axes, axis=1) / texture_m
@@ -1227,7 +1220,7 @@ def obj_lines(
         yield "f " + " ".join(f"{a}/{b}/{a}" if smooth[face] else f"{a}/{b}" for a, b in pairs)
 
 
-def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
+def texture_picture(means: Array, name: str) -> Array | None:
     """Return a picture (row, column) by which DIRSIG uses every curve of a population equally often.
 
     DIRSIG compares standard scores: a pixel gets the curve whose mean over the picture's wavelengths, in

@@ -4,8 +4,6 @@ The data file is filled block by block as dask computes them, so that a cube of 
 a few blocks. Header and data are published together, the header last.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import threading
@@ -19,9 +17,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import BAND
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.maps.map_grids import (
     RGB_WAVELENGTHS,

@@ -31,17 +31,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from hyperpaint.base import schema, units
-from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, warn_user
-from hyperpaint.base.facts import one_of
+from hyperpaint.base.facts import one_of, same_dimension
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+)
 from hyperpaint.io.files.reading import decoded_text, foreign_format, refuse
 
 if TYPE_CHECKING:
@@ -131,7 +139,7 @@ class EnviHeader:
     wavelength: Floats | None = None
     fwhm: Floats | None = None
     # False for bands that the header marks as bad; None without a bad band list
-    good: npt.NDArray[np.bool_] | None = None
+    good: Bools | None = None
     band_names: tuple[str, ...] = ()  # As written; empty where absent
     data_ignore_value: int | float | None = None  # Stored value that means "no data"
     reflectance_scale_factor: float | None = None  # Stored value of a reflectance of 1
@@ -600,8 +608,8 @@ class Scaling:
     ignore: int | float | None = None  # Compared with stored samples, before scaling
     divisor: float | None = None  # The reflectance scale factor
     # gain, offset: One value per band
-    gain: npt.NDArray[np.float64] | None = None
-    offset: npt.NDArray[np.float64] | None = None
+    gain: Floats | None = None
+    offset: Floats | None = None
 
     def apply(self, stored: Array, per_band: Callable[[Array], Array]) -> Array:
         # Return values of `stored`; `per_band` selects and reshapes a band vector to match it
@@ -888,7 +896,7 @@ def open_envi(
     problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
     has_scale = header.reflectance_scale_factor not in (None, 1.0)
     has_procedures = "read procedures" in header.fields
-    checks = (
+    problems.raise_if_any(
         (
             header.is_spectral_library,
             Problem(
@@ -924,8 +932,6 @@ def open_envi(
             ),
         ),
     )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
     # doubts that may make values wrong
@@ -963,7 +969,7 @@ def open_envi(
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = FILE_AXES[header.interleave]
     order = "lbs" if header.map_info is None else "lsb"
-    dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
+    dims = CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
         path=os.path.abspath(data_path),
         file_size=status.st_size,
@@ -978,14 +984,14 @@ def open_envi(
     if array.scaling is None and header.data_ignore_value is not None:
         attrs["data_ignore_value"] = header.data_ignore_value
     chunks = dict(zip(dims, array.shape, strict=True))
-    chunks[dims[0]] = min(schema.CHUNK_LINES, lines)
+    chunks[dims[0]] = min(CHUNK_LINES, lines)
     variable = xr.Variable(
         dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
     )
     # fastpath: otherwise xarray imports dask to check the type of the values, which takes longer than the
     # rest
     coords: dict[str, Any] = {
-        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
+        name: xr.Variable("band", values, VARIABLES[name].attrs, fastpath=True)
         for name, values in (
             ("wavelength", header.wavelength),
             ("fwhm", header.fwhm),
@@ -1113,7 +1119,7 @@ def _quantity(
     if quantity is None and is_integer and not has_gain and is_raw_form:
         quantity = unsaid
     name = declared or quantity or "values"
-    attrs = {} if name == "values" else dict(schema.VARIABLES[name].attrs)
+    attrs = {} if name == "values" else dict(VARIABLES[name].attrs)
     if name == "radiance":
         del attrs["units"]
         attrs |= {"units": radiance_units} if radiance_units else {}
@@ -1127,7 +1133,7 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # Headwall's comment on units, if it can be read as units
     comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
     unit_text = comment.replace("^", "").strip()
-    is_radiance = unit_text and units.same_dimension(unit_text, schema.VARIABLES["radiance"].units)
+    is_radiance = unit_text and same_dimension(unit_text, VARIABLES["radiance"].units)
     radiance_units = unit_text if is_radiance else None
     level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
     if level is None and scale is not None and (scale != 1.0 or not is_integer):

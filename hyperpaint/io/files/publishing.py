@@ -36,8 +36,8 @@ from pathlib import Path
 from hyperpaint.base.errors import PaintError, Problem, Problems, StoreError
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.io.store.budget import size_text
-from hyperpaint.io.store.disk import flush_group
-from hyperpaint.io.store.location import sync
+from hyperpaint.io.store.computing import flush_group
+from hyperpaint.io.store.manifest import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
 _SWAP, _JOURNAL = "swap", "journal"
@@ -65,7 +65,7 @@ def check_place(
         _recover(path)
     folder = path.absolute().parent
     is_inside = store is not None and store.resolve() in (path.resolve(), *path.resolve().parents)
-    checks = (
+    problems.raise_if_any(
         (
             kinds and path.suffix.lower() not in kinds,
             Problem(
@@ -95,8 +95,6 @@ def check_place(
         ),
         (not folder.is_dir(), Problem(f"there is no folder {folder}", code="folder-missing")),
     )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    problems.raise_if_any()
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:

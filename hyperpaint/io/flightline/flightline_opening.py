@@ -1,38 +1,585 @@
-"""A flight line from the files of its instruments: counts and all inputs of their calibration, lazily."""
+"""A flight line from the files of its instruments: counts and all inputs of their calibration, lazily.
 
-from __future__ import annotations
+Time and position of the exposure of each line of a cube, from frame index, clocks and navigation.
 
+Dark references: cubes recorded with a closed lens, averaged element by element.
+"""
+
+import datetime
+import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS, QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import (
     Findings,
     FormatError,
+    PaintError,
     Problem,
+    Problems,
     SchemaError,
+    TimeError,
     Unavailable,
     warn_user,
 )
-from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_calibration_names, with_numbers
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
-from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
+from hyperpaint.base.facts import conversion_factor, convert, one_of, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    dtype_of,
+    label,
+    rename_to_roles,
+    require,
+    with_calibration_names,
+    with_numbers,
+)
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import refuse
-from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
+from hyperpaint.io.navigation.navigation_records import (
+    ASSUMED,
+    NS_PER_S,
+    Clock,
+    ClockCorrection,
+    Navigation,
+    midnight_of,
+    read_gps_time,
+    read_imu_gps,
+)
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance, record_attrs
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
-from .dark import Dark, open_dark, own_dark
-from .headwall import find_exposure, recording_clock
-from .timing import UNKNOWN_TIMES, LineTimes, Timing, line_times
+from .headwall import (
+    DarkFrames,
+    FrameIndex,
+    cube_number,
+    exposure_seconds,
+    exposure_sources,
+    find_exposure,
+    match_frames,
+    read_frame_index,
+    recording_clock,
+    sum_dark,
+)
+
+# --- times of the lines ------------------------------------------------------------------------------------
+
+_MAX_EXPOSURE_S = 3600.0
+_DAY_US = 86_400_000_000
+#: Source of the times of lines without times.
+UNKNOWN_TIMES = "unknown"
+_MAX_INTERVAL_S = 1e4
+
+
+@dataclass(frozen=True)
+class Timing:
+    # Clock settings of one flight line; see `hyperpaint.open_flightline`.
+    frame_index: Path | None = None
+    nav: Path | Navigation | None = None
+    gps_time: Path | None = None
+    date: str | None = None
+    start_time: Any = None
+    frame_period: float | None = None
+    stamp: str = "end"
+    clock_offset_s: float | None = None
+    time_scale: Literal["utc", "gps"] = "utc"
+    gps_leap_seconds: int | None = None
+    max_gap_s: float | None = None
+
+    @property
+    def correction(self) -> ClockCorrection:
+        # Correction of the navigation's stamps to UTC.
+        return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
+
+
+@dataclass(frozen=True)
+class LineTimes:
+    # Times and poses of the lines of a cube.
+
+    frame: NDArray[np.int64]  #: (along_track,): Frame numbers.
+    recorded: NDArray[np.bool_]  #: (along_track,): False where the frame was dropped and the line is blank.
+    time: NDArray[np.datetime64]  #: (along_track,): UTC at mid exposure, NaT where unknown.
+    #: ``latitude`` to ``heading`` (along_track,), float64, by name; empty without navigation.
+    pose: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    dropped: int  #: Number of frames missing between the first and the last line, blank lines included.
+    source: str  #: Source of the times.
+
+    @classmethod
+    def unknown(cls, lines: int) -> "LineTimes":
+        # Return the numbers of lines that have no times.
+        return cls(
+            np.arange(lines),
+            np.ones(lines, bool),
+            np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]"),
+            {},
+            0,
+            UNKNOWN_TIMES,
+        )
+
+
+def utc_of(value: Any, name: str) -> np.datetime64:
+    """Return an instant as datetime64[ns] UTC.
+
+    ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``name``: name
+    of the value in messages.
+
+    Raises `TimeError`: The value is unreadable, or without a zone.
+
+    Examples
+    --------
+    >>> utc_of("2024-06-01T14:00:00+02:00", "start_time")
+    np.datetime64('2024-06-01T12:00:00.000000000')
+    """
+    if isinstance(value, np.datetime64) and not np.isnat(value):
+        return np.datetime64(value.astype("datetime64[ns]").astype(np.int64).item(), "ns")
+    if isinstance(value, str):
+        try:
+            value = datetime.datetime.fromisoformat(value.strip())
+        except ValueError as error:
+            raise TimeError(
+                f"{name} {value[:60]!r} is not a time",
+                expected="a time such as '2024-06-01T12:00:00Z'",
+                code="time-unreadable",
+            ) from error
+    if not isinstance(value, datetime.datetime) or value.tzinfo is None:
+        raise TimeError(
+            f"{name} {value!s:.60} has no zone",
+            mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
+            code="zone-missing",
+        )
+    TimeError.raise_if(
+        not 1980 <= value.year <= 2200,
+        f"{name} {value!s:.60} is out of range",
+        expected="a year from 1980 to 2200",
+        code="value-out-of-range",
+    )
+    return np.datetime64(value.astimezone(datetime.UTC).replace(tzinfo=None), "ns")
+
+
+def line_times(
+    cube: Path,
+    lines: int,
+    timing: Timing,
+    exposure_time: float | NDArray[np.float64] = 0.0,
+    *,
+    shortened: bool = False,
+) -> LineTimes:
+    # Return times and poses of the lines of a cube, from frame index, clocks and navigation.
+    #
+    # The stamp of a line in the instrument's microseconds is converted to UTC by linear interpolation, in
+    # int64, between rows of the navigation record that have both clocks; nothing is extrapolated. Half an
+    # exposure leads from the start or end of an exposure to its middle.
+    #
+    # ``cube``: path of the cube, whose name ``raw_<N>`` states its first frame; ``lines``: its number of
+    # lines; ``timing``: the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``:
+    # whether the file was cut short, so that its frame index may have more rows than the cube has lines.
+    #
+    # Raises `FormatError`: A side file is damaged, or the frame index does not fit the cube. Raises
+    # `TimeError`: Sources are missing or contradict each other, or no line lies within the navigation record.
+    #
+    # Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
+    # contradict; stamps of whole seconds.
+    problems = Problems("the clocks of the flight cannot be used as described", TimeError)
+    one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+    exposure_s = float(np.max(exposure_time, initial=0.0))
+    problems.add_if(
+        exposure_s > _MAX_EXPOSURE_S,
+        f"an exposure of {exposure_s:g} s",
+        expected=f"at most {_MAX_EXPOSURE_S:g} s",
+        code="value-out-of-range",
+    )
+    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+        problems.add_if(
+            seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S,
+            f"{name} {seconds} s",
+            expected="a positive number",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
+    index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
+    nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
+    if index is None:
+        frame = np.arange(lines, dtype=np.int64) + (cube_number(cube) or 0)
+        row = np.arange(lines)
+    else:
+        frame, row = match_frames(index, lines, cube, shortened=shortened)
+    recorded = row >= 0
+    clock = _clock(timing, index, nav, row[recorded], cube)
+    time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
+    if index is not None:
+        time[recorded] = clock.at(index.stamp[row[recorded]])
+        _check_rate(index, row[recorded], timing, exposure_time, cube)
+    else:
+        time = clock.at(np.zeros(1, np.int64)) + np.round(
+            (frame - frame[0]) * (NS_PER_S * float(timing.frame_period or 0.0))
+        ).astype("timedelta64[ns]")
+    outside = np.isnat(time[recorded])
+    if outside.any():
+        TimeError.raise_if(
+            outside.all(),
+            f"{cube.name}: no line lies inside {clock.source}",
+            mend="pass the record of this flight",
+            code="time-uncovered",
+        )
+        missing = np.flatnonzero(outside)
+        warn_user(
+            f"{cube.name}: {len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]}) lie "
+            f"outside {clock.source} and have no time and position",
+            "time-uncovered",
+        )
+    # from the stamped instant of the exposure to its middle
+    to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
+    time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
+    pose = {} if nav is None else nav.dated_by(clock).at(time, timing.max_gap_s)
+    dropped = int(frame[-1] - frame[0]) + 1 - int(recorded.sum()) if lines else 0
+    return LineTimes(frame, recorded, time, pose, dropped, clock.source)
+
+
+def _clock(
+    timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
+) -> Clock:
+    if timing.start_time is not None:
+        TimeError.raise_if(
+            index is not None and nav is not None and nav.utc is not None,
+            f"{cube.name}: both start_time and a navigation record with UTC",
+            mend="pass one of them",
+            code="option-conflict",
+        )
+        start = utc_of(timing.start_time, "start_time").astype(np.int64)
+        TimeError.raise_if(
+            index is None and not timing.frame_period,
+            f"{cube.name}: start_time without frame_index or frame_period",
+            mend="pass one of them",
+            code="argument-missing",
+        )
+        return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
+    if index is None:
+        files = ", ".join(
+            name
+            for name in (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
+            if (cube.parent / name).is_file()
+        )
+        beside = f" (beside the cube: {files})" if files else ""
+        raise TimeError(
+            f"{cube.name}: no line times",
+            mend=f"pass frame_index and nav, or start_time and frame_period{beside}",
+            code="time-missing",
+        )
+    if index.clock == "time of day" and timing.gps_time is not None:
+        return read_gps_time(timing.gps_time, timing.correction)
+    if index.clock == "time of day" and timing.date is not None:
+        # midnight of the date on the recording computer's clock
+        midnight = midnight_of(timing.date)
+        if midnight is None:
+            raise TimeError(
+                f"date {str(timing.date)[:40]!r}",
+                expected="a date such as '2024-06-01'",
+                code="time-unreadable",
+            )
+        TimeError.raise_if(
+            timing.clock_offset_s is None,
+            "date without clock_offset_s",
+            mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
+            code="clock-offset-missing",
+        )
+        return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
+    if nav is None:
+        raise TimeError(
+            f"{cube.name}: {index.name} has no UTC",
+            mend="pass nav (imu_gps.txt), or start_time",
+            code="time-missing",
+        )
+    return nav.clock_for(index)
+
+
+def _steady(stamp: int, utc: int, source: str) -> Clock:
+    # A clock without drift, from one stamp and its UTC
+    span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
+    return Clock(stamp + span, utc + span * 1000, source)
+
+
+def _check_rate(
+    index: FrameIndex,
+    rows: NDArray[np.intp],
+    timing: Timing,
+    exposure_time: float | NDArray[np.float64],
+    cube: Path,
+) -> None:
+    # Warn where stated period, exposure and stamps contradict one another
+    def warn(text: str, code: str) -> None:
+        warn_user(f"{cube.name}: {text}", code)
+
+    if index.fitted:
+        warn(f"{index.name} has whole seconds: line times are from a straight line fit", "time-rounded")
+    if len(rows) < 2:
+        return
+    period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
+    stated = timing.frame_period
+    if stated and abs(period / stated - 1.0) > 0.05:
+        text = f"{index.name} has {period * 1e3:.4g} ms a frame; its stamps are used"
+        warn(f"frame_period {stated * 1e3:g} ms, but {text}", "frame-rate-conflict")
+    exposure_s = float(np.max(exposure_time))
+    if exposure_s > 1.01 * period:
+        text = f"exposure {exposure_s * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
+        warn(f"{text}; check its unit", "exposure-too-long")
+
+
+# --- darks -------------------------------------------------------------------------------------------------
+
+DARK_NONE = "none"
+_DARK_OF_CALIBRATION = "calibration"
+#: Minimum number of lines of a dark cube for an estimate of read noise.
+MIN_NOISE_LINES = 16
+_ELEMENT = (BAND, CROSS_TRACK)
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Dark counts of a flight line."""
+
+    counts: xr.DataArray  #: ``dark_counts`` ([dark_time,] band, cross_track), float32 [count].
+    exposures: tuple[float | None, ...]  #: Exposure time of each reference [s]; None where unknown.
+    #: (band, cross_track): Standard deviation over the lines without quantisation noise [count]; None with
+    #: too few lines.
+    read_noise: xr.DataArray | None
+    source: str  #: Source of the counts.
+    uncertainty: xr.DataArray | None = None  #: (band, cross_track): Standard uncertainty of the mean [count].
+
+    def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
+        # Return the variables of a flight line, with ``needs_noise`` also the read noise.
+        variables = {"dark_counts": self.counts}
+        exposures = [seconds for seconds in self.exposures if seconds is not None]
+        if exposures and len(exposures) == len(self.exposures):
+            by_time = "dark_time" in self.counts.dims
+            array = xr.DataArray(
+                np.array(exposures if by_time else exposures[0]), dims=("dark_time",) if by_time else ()
+            )
+            variables["dark_exposure_time"] = label(array, "dark_exposure_time")
+        if needs_noise and self.read_noise is not None:
+            variables["read_noise"] = self.read_noise
+        if self.uncertainty is not None:
+            variables["dark_counts_u_random"] = self.uncertainty
+        return variables
+
+
+class Reference(NamedTuple):
+    # Sums over a cube of a dark or of a white tile, its UTC at mid recording, and its exposure [s].
+    name: str
+    frames: DarkFrames
+    time: np.datetime64 | None
+    exposure: float | None
+    wavelength: NDArray[np.float64] | None  #: (band,) of its header [nm]
+
+
+def open_dark(
+    source: Any, timing: Timing, calibration: xr.Dataset | None, cube: xr.DataArray | None
+) -> Dark | None:
+    # Open the dark references of a line; None where the cube or the calibration failed to open.
+    # Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
+    # ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
+    # ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
+    # ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
+    # open; ``cube``: counts of the line, or None if they failed to open.
+    # Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
+    # not a cube of raw counts.
+    SchemaError.raise_if(
+        source is None or (isinstance(source, (list, tuple)) and not source),
+        "no dark reference",
+        mend=(
+            'pass dark=, or dark="none" where the counts are dark-corrected '
+            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+        ),
+        code="dark-missing",
+    )
+    shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
+    if isinstance(source, str) and source == DARK_NONE:
+        if shape is None:
+            return None
+        zeros = label(xr.DataArray(np.zeros(shape, np.float32), dims=_ELEMENT), "dark_counts", dark="none")
+        return Dark(zeros, (None,), None, DARK_NONE)
+    if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
+        return None if calibration is None else _from_dark_counts(calibration, shape, "the calibration")
+    if isinstance(source, xr.Dataset) and "dark_counts" in source:
+        return _from_dark_counts(source, shape, "a Dataset")
+    sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
+    references = [read_reference(reference, timing, shape) for reference in sources]
+    # Stack references along time where all times are known, else average them
+    long = [ref.frames for ref in references if ref.frames.lines >= MIN_NOISE_LINES]
+    measured = long or [ref.frames for ref in references if ref.frames.lines > 1]
+    noise = variance = None
+    if measured:
+        freedom = np.array([frames.lines - 1 for frames in measured], np.float64)
+        squares = sum(k * frames.variance for k, frames in zip(freedom, measured, strict=True))
+        if long:
+            variance = squares / freedom.sum()
+            noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
+        else:
+            # few lines: shrink the variance of an element to the mean variance, with the weight of
+            # `MIN_NOISE_LINES` lines
+            pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
+            variance = (squares + MIN_NOISE_LINES * pooled) / (freedom.sum() + MIN_NOISE_LINES)
+    source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
+    times = [ref.time for ref in references if ref.time is not None]
+    if len(references) > 1 and len(times) == len(references) == len(set(times)):
+        references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
+        counts = label(
+            xr.DataArray(
+                np.stack([ref.frames.mean for ref in references]).astype(np.float32),
+                dims=("dark_time", *_ELEMENT),
+            ),
+            "dark_counts",
+        )
+        counts = counts.assign_coords(
+            dark_time=label(
+                xr.DataArray(np.array([ref.time for ref in references], "datetime64[ns]"), dims="dark_time"),
+                "dark_time",
+            )
+        )
+        min_lines = min(ref.frames.lines for ref in references)
+        u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
+        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
+    exposures = ", ".join(
+        f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
+        for ref in references
+    )
+    SchemaError.raise_if(
+        len({ref.exposure for ref in references}) > 1,
+        f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
+        code="exposure-conflict",
+    )
+    lines = sum(ref.frames.lines for ref in references)
+    total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
+    mean = (total / np.float64(lines)).astype(np.float32)
+    if len(references) > 1:
+        source += "; averaged, since their times are unknown"
+    u = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
+    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, u)
+
+
+def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
+    # Return the source of a dark: ``source``, else the dark lines at the end of the scene, else None.
+    if source is not None or path is None or "dark_lines" not in opened.attrs:
+        return source
+    return open_envi(path, unsaid="counts", dark_lines=True)
+
+
+def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
+    exposure = dataset.get("dark_exposure_time")
+    arrays = require(
+        dataset, ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"]), "a dark correction"
+    )
+    counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
+    check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
+    SchemaError.raise_if(
+        not np.isfinite(counts.values).any(), f"dark_counts of {name} have no finite value", code="not-finite"
+    )
+    times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
+    counts = label(counts.reset_coords(drop=True), "dark_counts")
+    if times is not None:
+        counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
+    seconds = [None] if exposure is None else np.atleast_1d(arrays["dark_exposure_time"].values).tolist()
+    return Dark(counts, tuple(seconds), None, name)
+
+
+def check_shape(
+    actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str, role: str = "dark"
+) -> None:
+    if shape is not None and actual != shape:
+        raise SchemaError(
+            f"{name}: {actual[0]} bands x {actual[1]} columns",
+            expected=f"{shape[0]} x {shape[1]}, as the cube",
+            mend=f"pass a {role} of this camera with the same binning",
+            code="grid-mismatch",
+        )
+
+
+def read_reference(
+    source: Any, timing: Timing, shape: tuple[int, ...] | None, role: str = "dark"
+) -> Reference:
+    # Sum a cube of counts, a path or a Dataset; ``role``: "dark" or "white"; see `open_dark`.
+    if isinstance(source, xr.Dataset):
+        opened, path = rename_to_roles(source), None
+        name = str(source.attrs.get("source", role))
+    else:
+        path = Path(source)
+        opened, name = open_envi(path, unsaid="counts"), path.name
+    FormatError.raise_if(
+        "counts" not in opened,
+        f"{name}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
+        expected=f"a {role} cube of raw counts",
+        code="counts-missing",
+    )
+    counts = opened["counts"]
+    if set(counts.dims) == set(CUBE):
+        counts = counts.transpose(*CUBE)
+        check_shape(counts.shape[1:], shape, f"{role} {name}", role)
+    frames = sum_dark(counts, f"{role} {name}")
+    sources = exposure_sources(path, opened)
+    stated: Iterator[float | None] = (
+        exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in sources
+    )
+    if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
+        stated = iter([float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])])
+    exposure = next((seconds for seconds in stated if seconds is not None), None)
+    wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
+    return Reference(
+        name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure, wavelength
+    )
+
+
+def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
+    # UTC at the middle of a dark cube; None where unknown
+    stamps = (
+        opened["time"].values.astype("datetime64[ns]") if "time" in opened.coords else np.empty(0, "M8[ns]")
+    )
+    if path is not None and "time" not in opened.coords:
+        index = path.parent / f"frameIndex_{cube_number(path)}.txt"
+        nav = path.parent / "imu_gps.txt"
+        if index.is_file() and nav.is_file():
+            dark_timing = Timing(
+                frame_index=index,
+                nav=nav,
+                stamp=timing.stamp,
+                clock_offset_s=timing.clock_offset_s,
+                time_scale=timing.time_scale,
+                gps_leap_seconds=timing.gps_leap_seconds,
+            )
+            try:
+                stamps = line_times(path, lines, dark_timing).time
+            except PaintError as error:
+                warn_user(f"dark {path.name}: time unknown; {error}", "dark-time-unknown")
+    stamps = stamps[~np.isnat(stamps)]
+    if stamps.size:
+        first, last = stamps[[0, -1]].astype(np.int64).tolist()
+        return np.datetime64((first + last) // 2, "ns")
+    if "time" in opened.coords:
+        return None
+    start, period = recording_clock(opened)
+    if start is not None:
+        return utc_of(start, "start time") + np.timedelta64(round(0.5e9 * lines * (period or 0.0)), "ns")
+    stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
+    try:
+        return None if stated is None else utc_of(str(stated), "acquisition time")
+    except TimeError:
+        return None  # such as a time without a zone
+
+
+def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
+    return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)
+
+
+# --- flight lines ------------------------------------------------------------------------------------------
 
 type_path = str | os.PathLike[str]
 

@@ -25,10 +25,9 @@ from hyperpaint.base.errors import (
     UnitsError,
     warn_user,
 )
+from hyperpaint.base.facts import conversion_factor
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
-from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.files.reading import refuse
-from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
+from hyperpaint.io.files.reading import Table, name_rows, read_table, read_text, refuse, to_integers
 
 _MAX_FRAME = 1 << 40
 _SECOND_US = 1_000_000
@@ -414,13 +413,14 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
         problems.add("the cube has no lines", code="empty-input")
-    problems.add_if(
-        counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
-        f"dtype {counts.dtype}",
-        expected="unsigned raw counts of 8 or 16 bits",
-        code="type-wrong",
+    problems.raise_if_any(
+        (
+            counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
+            Problem(
+                f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
+            ),
+        ),
     )
-    problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
     maximum, line_means = np.zeros(shape, counts.dtype), []

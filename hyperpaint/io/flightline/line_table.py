@@ -1,7 +1,5 @@
 """Flight lines as a table of text: time, place, attitude, and every other variable of a line."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -11,9 +9,8 @@ import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 
 #: Variables of the first columns, in their order.

@@ -1,7 +1,5 @@
 """Formats of spectral libraries: `open_library` by content, `write_library` by name or suffix."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -12,14 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented, is_number, one_of
+from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
 from hyperpaint.base.old_names import VERSION_NAME, with_new_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import (
+    BAND,
+    LIBRARY_VARIABLES,
+    SIGNATURE,
+    Array,
+    Floats,
+    Progress,
+    with_integer_dtypes,
+)
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import foreign_format
 from hyperpaint.io.spectrometers.spectrum_files import find_paths

@@ -12,11 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Bools, Floats
 from hyperpaint.io.files.reading import decoded_text, number, numbers, read_limited_text, refuse
 from hyperpaint.io.spectrometers.spectrum_texts import NM_HEADING, TIME_HEADING, heading_cells
 
@@ -51,7 +49,7 @@ def is_sample_table(head: str) -> bool:
     return bool(lines) and (_cells(lines[0])[0].lower() in _FIRST_KEYS or _bands(lines) is not None)
 
 
-def _bands(lines: Sequence[str]) -> npt.NDArray[np.bool_] | None:
+def _bands(lines: Sequence[str]) -> Bools | None:
     # Return which columns of a row a spectrum are wavelengths by their headings; None for other tables.
     cells = _cells(lines[0])
     nm = np.array([np.nan if (value := _nm(cell)) is None else value for cell in cells])

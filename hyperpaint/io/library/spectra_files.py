@@ -44,14 +44,25 @@ from types import NoneType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra, warn_user
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, find, quality_attrs
+from hyperpaint.base.schema import (
+    BAND,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    SIGNATURE,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Progress,
+    find,
+    quality_attrs,
+)
 from hyperpaint.io.envi.envi_cubes import (
     MAX_LIBRARY_HEADER_BYTES,
     EnviHeader,
@@ -114,11 +125,11 @@ class Spectra:
     wavelength: Floats  # (band) [nm], in the order of the file
     reflectance: Floats32  # (signature, band) as a fraction; NaN for missing samples
     fwhm: Floats | None = None  # (band) [nm]; None if not in the file
-    good: npt.NDArray[np.bool_] | None = None
+    good: Bools | None = None
     # Further variables (signature, band) by their names in `LIBRARY_VARIABLES`
     others: Mapping[str, Floats32] = field(default_factory=dict)
     # Further variables with one value per spectrum
-    columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
+    columns: Mapping[str, Sequence[Any] | Array] = field(default_factory=dict)
     notes: Sequence[str] = ()  # inferred or doubtful properties
 
 
@@ -158,7 +169,7 @@ def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
     return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
 
 
-def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
+def text_column(texts: Sequence[str]) -> Array:
     # Return texts as an array of objects, as stores hold them.
     column = np.empty(len(texts), object)
     column[:] = list(texts)
@@ -194,7 +205,7 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
 
 
 def reflectances(
-    stored: npt.NDArray[Any],
+    stored: Array,
     source: str,
     *,
     file_scale: float | None,
@@ -449,7 +460,7 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
             if inner:
                 is_stored = np.ones(values.shape[:2], np.bool_)
                 if inner == [MEMBER]:
-                    has_value: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
+                    has_value: Bools = np.any(~np.isnan(values), axis=2)
                     # up to the last member that has a value
                     is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
                 paint, number_in_paint = np.nonzero(is_stored)
@@ -1310,10 +1321,12 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     )
     units = fields.get("Y Units", "")
     file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
-    problems.add_if(
-        other_quantity(units), f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"
+    problems.raise_if_any(
+        (
+            other_quantity(units),
+            Problem(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"),
+        ),
     )
-    problems.raise_if_any()
     table = _table(lines, first, 2, source)
     FormatError.raise_if(
         (count := fields["Number of X Values"]) != str(len(table)),

@@ -1,20 +1,353 @@
-"""Variable and affine grid of an exported line or map, formats of map files, GeoZarr and STAC metadata."""
+"""Variable and affine grid of an exported line or map, formats of map files, GeoZarr and STAC metadata.
+
+Height rasters, read by GDAL: few drivers, a single file, no network, only the needed window.
+
+GDAL decides by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
+beside it are opened with it, and a tag may name a file of overviews. Only the ``.prj`` of an ASCII grid,
+which holds its crs, is read besides.
+
+Writing of maps as GeoTIFF and in other formats of GDAL: all bands, or a picture in true colours.
+
+Windows are written one row of tiles at a time; GDAL then streams the plain file into the final format.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import re
+import threading
+import uuid
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import Problem, Problems, SchemaError, needs_extra
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.input_files import head_of, open_input
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
+from hyperpaint.io.files.publishing import published_files, unwritable
+from hyperpaint.io.files.reading import number
+from hyperpaint.io.store.computing import in_stages
+
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+#: First bytes of files, and the driver that opens them; all are single-file formats.
+_DRIVERS = ((TIFF, "GTiff"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
+#: First words of the header of an ASCII grid, in either case.
+_GRID_KEYWORDS = (
+    b"ncols",
+    b"nrows",
+    b"xllcorner",
+    b"xllcenter",
+    b"yllcorner",
+    b"yllcenter",
+    b"cellsize",
+    b"dx",
+    b"dy",
+)
+
+MAX_RASTER_BYTES = 2**40
+MAX_PRJ_BYTES = 2**16
+MAX_AUX_BYTES = 2**20
+
+# Maximum number of cells of a raster that is read completely; from a larger raster, a window is read.
+MAX_WHOLE_CELLS = 2**24
+
+# Maximum number of cells of a window: half a gigabyte with all derived arrays.
+MAX_WINDOW_CELLS = 2**25
+
+# Largest block, tile or strip, which GDAL decodes completely even for one cell [byte].
+MAX_BLOCK_BYTES = 2**27
+
+#: No files beside the raster are searched, and no URLs are fetched.
+_ENVIRONMENT = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+    "GDAL_PAM_ENABLED": "NO",
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
+    "GDAL_HTTP_MAX_RETRY": "0",
+    "VRT_VIRTUAL_OVERVIEWS": "NO",
+    "GDAL_CACHEMAX": 64 * 2**20,  # bytes, not a share of the memory
+}
+
+#: Elements of an ``.aux.xml`` that change heights or their positions.
+_POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
+
+
+@contextlib.contextmanager
+def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
+    # Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
+    # From files beside it, only the ``.prj`` of an ASCII grid is read.
+    # Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other
+    # files; or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio
+    # is not installed.
+    with open_input(path, "a raster", MAX_RASTER_BYTES) as file:
+        first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
+    driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
+    driver = driver or ("AAIGrid" if first_bytes.lower().startswith(_GRID_KEYWORDS) else "")
+    driver = driver or ("SRTMHGT" if full_path.lower().endswith(".hgt") else "")
+    FormatError.raise_if(
+        not driver,
+        f"{path}: not a TIFF, ASCII grid, SRTM .hgt or DTED, in spite of its name",
+        mend="convert other rasters to GeoTIFF with gdal_translate",
+        code="format-unknown",
+    )
+    for prj in (os.path.splitext(full_path)[0] + suffix for suffix in (".prj", ".PRJ")):
+        if driver == "AAIGrid" and os.path.lexists(prj):
+            open_input(prj, "the crs of an ASCII grid", MAX_PRJ_BYTES).close()
+    with needs_extra("rasterio", "geo", purpose):
+        import rasterio
+        from rasterio._err import CPLE_BaseError
+        from rasterio.errors import CRSError
+    try:
+        with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
+            warnings.simplefilter("ignore")  # rasterio warns of files without position
+            with rasterio.open(full_path, driver=driver, sharing=False) as raster:
+                FormatError.raise_if(
+                    raster.tags(ns="OVERVIEWS"),
+                    f"{path} names another file for its overviews",
+                    mend="convert it with gdal_translate",
+                    code="file-not-alone",
+                )
+                yield raster
+    except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
+        raise FormatError(
+            f"{path}: GDAL cannot read it as {driver} ({error!s:.200})",
+            mend="copy it again",
+            code="raster-damaged",
+        ) from error
+
+
+def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
+    # Return a height raster (y, x); from a large raster, the window around a flight.
+    # path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes
+    # [degree] and heights [m] of the flight, (time,) each: a raster of more than `MAX_WHOLE_CELLS` cells is
+    # read only within four times the flight height above ground.
+    # Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
+    # applied, with coordinates of the cells' centres and `spatial_ref`. Raises FormatError: As `open_raster`;
+    # it has several bands, is rotated, lacks crs, transform or metadata in a file beside it, has blocks over
+    # `MAX_BLOCK_BYTES`, or needs a window of too many cells. Raises SchemaError: It is large, and the
+    # position of the flight is unknown.
+    with open_raster(path, "opening a DEM") as raster:
+        from rasterio.enums import MaskFlags
+
+        a, b, c, d, e, f = tuple(raster.transform)[:6]
+        # metadata that the raster lacks, and files beside it, which are not read, with that metadata
+        full_path = os.path.abspath(path)
+        stem = os.path.splitext(full_path)[0]
+        is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
+        is_missing = {
+            "a nodata": raster.nodata is None and not is_masked,
+            "a transform": raster.transform.is_identity,
+            "a crs": raster.crs is None,
+        }
+        aux = head_of(f"{full_path}.aux.xml", MAX_AUX_BYTES)
+        files_by_item = {
+            item: f"{full_path}.aux.xml"
+            for element, item in _POSITION_ELEMENTS.items()
+            if is_missing[item] and element in aux
+        }
+        for item, name in (
+            ("a nodata", f"{full_path}.msk"),
+            *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
+            ("a transform", f"{full_path}w"),
+            ("a crs", f"{stem}.prj"),
+        ):
+            if is_missing[item] and os.path.exists(name):
+                files_by_item.setdefault(item, name)
+        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+        has_prj = files_by_item.get("a crs", "").endswith(".prj")
+        srs = f" -a_srs {os.path.basename(stem)}.prj" if has_prj else ""
+        missing = [item for item in ("a transform", "a crs") if is_missing[item]]
+        block_rows, block_columns = raster.block_shapes[0]
+        is_complex = raster.dtypes[0].startswith("complex")  # numpy lacks some of these types
+        itemsize = 0 if is_complex else np.dtype(raster.dtypes[0]).itemsize
+        block_bytes = block_rows * block_columns * itemsize
+        for is_wrong, found, expected, mend, code in (
+            (
+                raster.count != 1,
+                f": {raster.count} bands",
+                "one of heights",
+                "extract that band with gdal_translate -b",
+                "band-count",
+            ),
+            (is_complex, f": cells of {raster.dtypes[0]}", "heights", "", "type-wrong"),
+            (
+                b or d or not a or not e,
+                f": its rows do not run east, by its transform {(a, b, c, d, e, f)}",
+                "north up",
+                "gdalwarp in.tif out.tif",
+                "grid-rotated",
+            ),
+            (
+                bool(files_by_item),
+                f" is read without other files, which hold part of its metadata: {listed}",
+                "",
+                f"merge them: gdal_translate{srs} in.tif out.tif",
+                "file-not-alone",
+            ),
+            (
+                bool(missing),
+                f" has no position without {' and '.join(missing)}",
+                "",
+                "set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
+                "place-unknown",
+            ),
+            (
+                not np.isfinite(tuple(raster.transform)).all(),
+                f": its transform is {tuple(raster.transform)[:6]}",
+                "finite numbers",
+                "set it with gdal_translate -a_ullr <west north east south>",
+                "not-finite",
+            ),
+            (
+                block_bytes > MAX_BLOCK_BYTES,
+                f": blocks of {block_rows} x {block_columns} cells, {block_bytes} bytes, read completely for "
+                "each cell",
+                f"at most {MAX_BLOCK_BYTES}",
+                "gdal_translate -co TILED=YES in.tif out.tif",
+                "file-too-large",
+            ),
+        ):
+            FormatError.raise_if(is_wrong, f"{path}{found}", expected=expected, mend=mend, code=code)
+        is_large = raster.height * raster.width > MAX_WHOLE_CELLS
+        whole = (0, raster.height), (0, raster.width)
+        rows, columns = _window(raster, path, around) if is_large else whole
+        values = _read_cells(raster, rows, columns)
+        crs = None if raster.crs is None else raster.crs.to_wkt()
+        # the declared unit of the heights, and their reference surface
+        tags = raster.tags()
+        declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
+        if "height_reference" in tags:
+            declared["height_reference"] = tags["height_reference"]
+        undulation = number(tags.get("geoid_undulation", ""))
+        if undulation is not None and np.isfinite(undulation):
+            declared["geoid_undulation"] = undulation
+    attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
+    coords = {
+        # half a cell is added to the corner first, like in rioxarray: the same bits
+        "x": ("x", np.arange(*columns) * a + (a * 0.5 + b * 0.5 + c)),
+        "y": ("y", np.arange(*rows) * e + (d * 0.5 + e * 0.5 + f)),
+        "spatial_ref": ((), 0, attrs),
+    }
+    return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
+
+
+def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
+    from rasterio.enums import MaskFlags
+    from rasterio.windows import Window
+
+    window = Window.from_slices(rows, columns)
+    stored: np.ndarray[Any, Any] = raster.read(1, window=window)
+    fits_float32 = stored.dtype.itemsize <= 2 or stored.dtype == np.float32
+    values = stored.astype(np.float32 if fits_float32 else np.float64)
+    if raster.nodata is not None:
+        values[stored == raster.nodata] = np.nan
+    # a mask inside the file; masks beside it are not opened
+    if MaskFlags.per_dataset in raster.mask_flag_enums[0]:
+        values[raster.read_masks(1, window=window) == 0] = np.nan
+    # replace infinities, and signalling NaNs of a damaged file, which would warn in every sum
+    values[~np.isfinite(values)] = np.nan
+    scale, offset = raster.scales[0], raster.offsets[0]
+    FormatError.raise_if(
+        not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0),
+        f"{raster.name}: scale {scale:g} and offset {offset:g}",
+        expected="finite ones, no scale of 0",
+        mend="set them with gdal_edit -a_scale 1 -a_offset 0",
+        code="scale-wrong",
+    )
+    return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
+
+
+# Cells are read up to this distance from the flight [heights above ground]: 76 degrees off nadir.
+_WINDOW_HEIGHTS = 4.0
+# Additional border on each side [cell].
+_BORDER_CELLS = 64
+_TRACK_POINTS = 257
+
+
+def _window(
+    raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    # Return the rows and columns of a raster around a flight.
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import CRSError, RasterioError
+    from rasterio.warp import transform
+
+    subject = f"{path} has {raster.height} x {raster.width} cells"
+    points = None if around is None else np.stack([np.asarray(values, np.float64) for values in around])
+    points = None if points is None else points[:, np.isfinite(points).all(axis=0)]
+    if points is None or not points.size:
+        raise SchemaError(
+            f"{subject}, and the line has no positions to select a window by",
+            mend="cut out the area of the flight",
+            code="positions-missing",
+        )
+    if raster.crs is None:
+        raise FormatError(
+            f"{subject}, and no crs to find the flight in it",
+            mend="declare it with gdal_edit -a_srs",
+            code="crs-missing",
+        )
+    longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
+    try:
+        x, y = (
+            np.asarray(coordinate) for coordinate in transform("EPSG:4326", raster.crs, longitude, latitude)
+        )
+    except (CPLE_BaseError, CRSError, RasterioError) as error:
+        raise FormatError(
+            f"{subject}, and positions cannot be converted to its crs ({error!s:.200})",
+            mend="declare the right one with gdal_edit -a_srs",
+            code="crs-unknown",
+        ) from error
+    column, row = ~raster.transform * (x, y)
+    column, row = (coordinate[np.isfinite(column) & np.isfinite(row)] for coordinate in (column, row))
+    is_inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
+    FormatError.raise_if(
+        not is_inside.any(),
+        f"{subject}, and the flight is outside of it",
+        mend="give the DEM of this place",
+        code="flight-outside",
+    )
+    heights = np.array(
+        [
+            float(_read_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
+            for r, k in zip(row[is_inside], column[is_inside], strict=True)
+        ]
+    )
+    lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
+    height_above_ground = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
+    units_per_metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
+    reach = _WINDOW_HEIGHTS * height_above_ground * units_per_metre
+    longitude_factor = (
+        1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
+    )
+    ranges = []
+    for values, size, cells in (
+        (row, raster.height, reach / abs(raster.transform.e)),
+        (column, raster.width, reach * longitude_factor / abs(raster.transform.a)),
+    ):
+        first = max(int(values.min() - cells) - _BORDER_CELLS, 0)
+        ranges.append((first, min(int(values.max() + cells) + _BORDER_CELLS + 1, size)))
+    (top, bottom), (left, right) = ranges
+    FormatError.raise_if(
+        (bottom - top) * (right - left) > MAX_WINDOW_CELLS,
+        f"{subject}, {bottom - top} x {right - left} of them around this flight",
+        expected=f"at most {MAX_WINDOW_CELLS} in all",
+        mend="resample it with gdalwarp -tr",
+        code="file-too-large",
+    )
+    return ranges[0], ranges[1]
+
+
+# --- rasters -----------------------------------------------------------------------------------------------
 
 # Wavelengths of the bands shown as red, green and blue [nm].
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
@@ -517,3 +850,358 @@ def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
         }
         for nm, fwhm in zip(axis.values, widths, strict=True)
     ]
+
+
+# --- GeoTIFF -----------------------------------------------------------------------------------------------
+
+# Number of rows from which the brightness range of a picture is computed.
+_SAMPLED_ROWS = 64
+_BLOCK_BYTES = 64 * 2**20
+_RGB = ("red", "green", "blue")
+# GDAL's default, 5 % of the machine's memory, would fill with bands that are written once. Rasterio takes
+# bytes, where GDAL itself takes small numbers as megabytes.
+CACHE_BYTES = 256 * 2**20
+
+
+@takes_quantities()
+@documented()
+def write_geotiff(
+    map: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all",
+    cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0),
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a map as GeoTIFF.
+
+    Parameters
+    ----------
+    map
+        With a variable on (y, x, band) or (y, x) in any order, and a position: ``spatial_ref`` with
+        ``GeoTransform`` (any affine, rotated or not), or ``x`` and ``y``.
+    path
+    variable
+    bands
+        ``"all"``; indices; or ``"rgb"``: an 8-bit picture of the bands nearest to 640, 550 and 460 nm,
+        brightness between the percentiles of ``stretch``, sRGB curve, transparent (alpha) where a band is
+        unknown.
+    cog
+        Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
+    stretch
+        Percentiles of brightness that become black and white, computed from at most 64 rows.
+    overwrite
+    progress
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    SchemaError
+        The variable or a band is missing, its dims are wrong, the position is unknown, or ``"rgb"`` has no
+        bands near those wavelengths.
+    StoreError
+        A file exists, or cannot be written. An existing file stays.
+    MissingExtraError
+        rasterio is not installed.
+
+    Notes
+    -----
+    Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
+    integers keep their type. The wavelength is the description of a band, and a tag. The bands nearest to
+    640, 550 and 460 nm are interpreted as red, green and blue, so that a GIS opens the map in true colour.
+
+    Examples
+    --------
+    >>> import tempfile, xarray as xr
+    >>> from hyperpaint.geometry import orthorectify
+    >>> north, east = np.meshgrid([0.0, 2.0, 4.0], [10.0, 12.0, 14.0], indexing="ij")
+    >>> dims, metres = ("along_track", "cross_track"), {"units": "m", "crs": "EPSG:32618"}
+    >>> line = xr.Dataset({"red": (dims, np.arange(9.0).reshape(3, 3))})
+    >>> line = line.assign_coords(east=(dims, east, metres), north=(dims, north, metres))
+    >>> map = orthorectify(line, 2.0, variables="red")
+    >>> write_geotiff(map, Path(tempfile.mkdtemp(), "red.tif"), variable="red").name
+    'red.tif'
+    """
+    path = Path(path)
+    with published_files([path], overwrite=overwrite) as (target,):
+        draw_geotiff(map, target, path, variable, bands, cog, stretch, progress)
+    return path
+
+
+def draw_geotiff(
+    map: xr.Dataset,
+    target: Path,
+    final_path: Path,
+    variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all",
+    cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0),
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    picture: Path | None = None,
+) -> list[int]:
+    # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
+    # ``picture``: also write the map's picture here, as ``bands="rgb"`` does.
+    # Return the reduction factors of its overviews.
+    with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
+        import rasterio
+        from rasterio.shutil import copy
+    array = product_of(map, variable)
+    SchemaError.raise_if(
+        "y" not in array.dims,
+        f"{array.name!r} is {dict(array.sizes)}",
+        expected="a map (y, x, band)",
+        mend="orthorectify the line first",
+        code="dim-missing",
+    )
+    grid = required_grid(map)
+    band_numbers = _band_indices(map, array, bands)
+    array = array.isel({BAND: band_numbers})
+    is_picture = isinstance(bands, str) and bands == "rgb"
+    # descriptions and tags of the bands
+    axis = map.variables.get("wavelength")
+    names = [str(array.name)] if len(band_numbers) == 1 else [f"band {band + 1}" for band in band_numbers]
+    tags: list[dict[str, str]] = [{} for _ in band_numbers]
+    if axis is not None and axis.dims == (BAND,) and BAND in map[array.name].dims:
+        nm = axis.values.astype(np.float64)[band_numbers].tolist()
+        names = [f"{value:.6g} nm" for value in nm]
+        tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
+    described = list(zip(names, tags, strict=True))
+    nearest = (
+        nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS) if axis is not None and tags[0] else None
+    )
+    # how a GIS shows the bands
+    by_band = {} if nearest is None else dict(zip(nearest, _RGB, strict=True))
+    colours = [by_band.get(band, "undefined" if band or by_band else "gray") for band in range(len(names))]
+    form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
+    uncompressed = target.with_name(f"plain-{target.name}") if cog else target
+
+    def save_picture(linear: xr.DataArray, plain: Path, bands: list[tuple[str, dict[str, str]]]) -> None:
+        _write(plain, _picture(linear, stretch), grid, [*_RGB, "alpha"], [*bands, ("alpha", {})], progress)
+
+    try:
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
+            if is_picture:
+                save_picture(array, uncompressed, described)
+            else:
+                _write(uncompressed, storable(array), grid, colours, described, progress)
+            if picture is not None and nearest is not None:
+                plain = picture.with_name(f"plain-{picture.name}")
+                save_picture(_bands_in(uncompressed, nearest), plain, [described[band] for band in nearest])
+                copy(plain, picture, driver=form.driver, **form.picture_options)
+            if cog:
+                options = form.picture_options if is_picture else form.options
+                copy(uncompressed, target, driver=form.driver, **options)
+            with rasterio.open(target) as written:
+                return list(written.overviews(1))
+    except rasterio.errors.RasterioError as error:
+        raise unwritable(final_path, error) from error
+
+
+class GeotiffHeader(NamedTuple):
+    # Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies.
+    shape: tuple[int, int]
+    bands: int
+    dtype: str
+    grid: Grid | None
+    descriptions: tuple[str, ...]
+    overviews: tuple[int, ...]
+
+
+def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
+    # Return the metadata of a GeoTIFF; no cell is read.
+    # Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
+    with open_input(path, "a GeoTIFF") as file:
+        FormatError.raise_if(
+            not file.read(4).startswith(TIFF),
+            f"{path}: not a TIFF, in spite of its name",
+            mend="check what the file is",
+            code="format-unknown",
+        )
+    with open_raster(path, "reading a GeoTIFF") as raster:
+        is_placed = raster.crs is not None or not raster.transform.is_identity
+        wkt = None if raster.crs is None else raster.crs.to_wkt()
+        grid = Grid(raster.transform.to_gdal(), wkt) if is_placed else None
+        return GeotiffHeader(
+            raster.shape,
+            raster.count,
+            raster.dtypes[0],
+            grid,
+            tuple(text or "" for text in raster.descriptions),
+            tuple(raster.overviews(1)),
+        )
+
+
+# --- values ------------------------------------------------------------------------------------------------
+
+
+def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
+    count = array.sizes[BAND]
+    if isinstance(bands, str):
+        if bands == "all":
+            return list(range(count))
+        SchemaError.raise_if(
+            bands != "rgb", f"bands {bands!r:.40}", expected="'all', 'rgb' or indices", code="choice-unknown"
+        )
+        axis = map.variables.get("wavelength")
+        has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
+        nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
+        if nearest is None:
+            raise SchemaError(
+                "a picture needs bands within 50 nm of 640, 550 and 460 nm",
+                mend="choose bands by their indices",
+                code="band-missing",
+            )
+        return nearest
+    chosen = [int(band) for band in bands]
+    SchemaError.raise_if(
+        not chosen or not all(-count <= band < count for band in chosen),
+        f"bands {chosen[:20]}",
+        expected=f"one or more of 0 to {count - 1}",
+        code="value-out-of-range",
+    )
+    return [band % count for band in chosen]
+
+
+def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
+    # Return bands of a plain GeoTIFF (y, x, band), read lazily row of tiles by row of tiles.
+    import dask.array as da
+    import rasterio
+    from rasterio.windows import Window
+
+    def read(block_info: Any = None) -> NDArray[Any]:
+        (first, last), (_, width), _ = block_info[None]["array-location"]
+        with rasterio.open(path) as raster:
+            return np.moveaxis(
+                raster.read([band + 1 for band in bands], window=Window(0, first, width, last - first)), 0, -1
+            )
+
+    with rasterio.open(path) as raster:
+        (height, width), dtype = raster.shape, raster.dtypes[0]
+    rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
+    chunks = (rows, (width,), (len(bands),))
+    return xr.DataArray(
+        da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}"),
+        dims=("y", "x", BAND),
+    )
+
+
+def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
+    # Return 8-bit sRGB and alpha (y, x, band); 0 where a band is unknown.
+    SchemaError.raise_if(
+        not 0.0 <= stretch[0] < stretch[1] <= 100.0,
+        f"stretch {stretch}",
+        expected="two rising percentiles within 0 and 100",
+        code="value-out-of-range",
+    )
+    step = -(-array.sizes["y"] // _SAMPLED_ROWS)
+    sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
+    complete = sample[np.isfinite(sample).all(axis=-1)]
+    # one range for all bands keeps the colours
+    low, high = map(float, np.percentile(complete, stretch) if complete.size else (0.0, 1.0))
+    high = max(high, low + 1e-12)
+
+    def encode(linear: NDArray[Any]) -> NDArray[np.uint8]:
+        is_complete = np.isfinite(linear).all(axis=-1, keepdims=True)
+        share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
+        # IEC 61966-2-1
+        encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+        return np.where(
+            is_complete,
+            np.concatenate([np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1),
+            0.0,
+        ).astype(np.uint8)
+
+    picture: xr.DataArray = xr.apply_ufunc(
+        encode,
+        array,
+        input_core_dims=[[BAND]],
+        output_core_dims=[[BAND]],
+        dask="parallelized",
+        output_dtypes=[np.uint8],
+        exclude_dims={BAND},
+        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": {BAND: 4}},
+    )
+    return picture
+
+
+# --- the file ----------------------------------------------------------------------------------------------
+
+
+def _write(
+    path: Path,
+    stored: xr.DataArray,
+    grid: Grid,
+    colours: list[str],
+    bands: list[tuple[str, dict[str, str]]],
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    import dask.threaded
+    import rasterio
+    from rasterio.windows import Window
+
+    # ``colours``: interpretation of every band; ``bands``: description and tags of every band.
+    height, width, count = stored.shape
+    is_picture = colours[-1] == "alpha"
+    a, b, c, d, e, f = grid.transform
+    profile = {
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": count,
+        "dtype": stored.dtype.name,
+        "transform": rasterio.Affine(b, c, a, e, f, d),
+        "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
+        "tiled": True,
+        "blockxsize": TILE,
+        "blockysize": TILE,
+        "bigtiff": "if_safer",
+        "interleave": "pixel" if is_picture else "band",
+        "nodata": np.nan if stored.dtype.kind == "f" else None,
+        **({"photometric": "rgb", "alpha": "yes"} if is_picture else {}),
+    }
+    # the blocks of a lazy map (y, x, band), one row of tiles after another, in this process
+    rows = max(TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // TILE * TILE)
+    array = (stored if stored.chunks is not None else stored.chunk(y=rows)).data
+    lock = threading.Lock()  # rasterio datasets are not thread-safe
+    done = 0
+
+    def write(block: NDArray[Any], block_info: Any = None) -> NDArray[Any]:
+        nonlocal done
+        (row, _), (column, _), (first, last) = block_info[0]["array-location"]
+        window = Window(column, row, block.shape[1], block.shape[0])
+        with lock:
+            raster.write(
+                np.ascontiguousarray(np.moveaxis(block, -1, 0)),
+                indexes=list(range(first + 1, last + 1)),
+                window=window,
+            )
+            done += block.size
+            if progress is not None:
+                progress(done, stored.size)
+        return np.zeros((1,) * block.ndim, np.uint8)
+
+    writes = array.map_blocks(
+        write,
+        dtype=np.uint8,
+        chunks=tuple((1,) * count for count in array.numblocks),
+        meta=np.empty((0,) * array.ndim, np.uint8),
+        name=f"write-{uuid.uuid4().hex}",
+    )
+    axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
+    stages = {(writes.name, *index): index[axis] for index in np.ndindex(writes.numblocks)}
+    graph = dict(writes.__dask_optimize__(writes.__dask_graph__(), list(stages)))
+    with rasterio.open(path, "w", **profile) as raster:
+        raster.colorinterp = [rasterio.enums.ColorInterp[colour] for colour in colours]
+        for number, (name, band_tags) in enumerate(bands, start=1):
+            raster.set_band_description(number, name)
+            raster.update_tags(number, **band_tags)
+        for _ in in_stages(dask.threaded.get, graph, stages):
+            pass

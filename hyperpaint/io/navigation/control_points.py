@@ -1,7 +1,5 @@
 """Ground control points: surveyed coordinates, and the pixels where the points are visible."""
 
-from __future__ import annotations
-
 import csv
 import re
 import warnings
@@ -12,10 +10,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
-from hyperpaint.base.facts import documented
-from hyperpaint.base.units import is_unit, same_dimension
-from hyperpaint.io.files.reading import read_limited_text
-from hyperpaint.io.files.text_tables import name_rows, table_of
+from hyperpaint.base.facts import documented, is_unit, same_dimension
+from hyperpaint.io.files.reading import name_rows, read_limited_text, table_of
 
 from .navigation_records import limited_numbers
 

@@ -12,8 +12,6 @@ sentences. The preamble may contain the comment field as NUL bytes, a blank firs
 sentences. No export contains the quantity, its units, or the UTC offset of the time stamp.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import os
@@ -26,14 +24,12 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of, read_limited
-from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.base.schema import VARIABLES, Bools, Floats, label
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 
 from .record_faults import clipped_top
@@ -696,9 +692,9 @@ class Spectrum:
     dark_utc: dt.datetime | None = None  # UTC of the last dark measurement
     gps: AsdGps | None = None
     # (wavelength), True at channels of a detector that the file flags as saturated
-    saturated: npt.NDArray[np.bool_] | None = None
+    saturated: Bools | None = None
     # (wavelength), True at channels whose raw counts were clipped although no flag says so
-    clipped: npt.NDArray[np.bool_] | None = None
+    clipped: Bools | None = None
     path: Path | None = None
     # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""

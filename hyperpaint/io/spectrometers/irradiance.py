@@ -1,7 +1,5 @@
 """The record of a sky-pointing spectrometer as one series in UTC: spectra, csv files, Zarr or netCDF."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import os
@@ -12,10 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
@@ -34,10 +30,18 @@ from hyperpaint.base.errors import (
     UnitsError,
     warn_user,
 )
-from hyperpaint.base.facts import is_number, one_of
+from hyperpaint.base.facts import conversion_factor, convert, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import input_path
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.base.schema import (
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Bools,
+    Floats,
+    Times,
+    label,
+    require,
+)
 from hyperpaint.io.files.reading import (
     load_netcdf,
     number,
@@ -87,8 +91,8 @@ class IrradianceTable(NamedTuple):
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
     lines: tuple[int, ...]  # (sample), line numbers in the file
-    wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
-    values: npt.NDArray[np.float64]  # (sample, wavelength), NaN where a cell is empty
+    wavelength: Floats  # (wavelength) [nm]
+    values: Floats  # (sample, wavelength), NaN where a cell is empty
     units: str | None  # from a comment, or None
     fwhm_nm: float | None  # from a comment, or None
 
@@ -332,7 +336,7 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
 class _Series:
     # Samples as logged, before correction of clocks and units, or as stored.
     sources: Sequence[str]
-    stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
+    stamps: Times  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]  # (sample)
     averaging_s: Floats  # (sample)
     wavelength: Floats
@@ -513,8 +517,9 @@ def open_irradiance(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    problems.add_if(len(repeats) > _MAX_SHOWN, f"... ({len(repeats)} pairs in all)", code="time-duplicate")
-    problems.raise_if_any()
+    problems.raise_if_any(
+        (len(repeats) > _MAX_SHOWN, Problem(f"... ({len(repeats)} pairs in all)", code="time-duplicate")),
+    )
     factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
     # in the units of the schema; refused where float32 would overflow
     raw = series.values[order]
@@ -792,7 +797,7 @@ def _from_xarray(
 
 def _dataset(
     series: _Series,
-    times: npt.NDArray[np.datetime64],
+    times: Times,
     values: Floats,
     fwhm_nm: Any,
     max_gap_s: float | None,
@@ -901,15 +906,15 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
 
 class UncoveredError(TimeError):
     # An irradiance record of other times than the flight lines, with the clock that would fit.
-    lines: list[npt.NDArray[np.datetime64]] = []  # noqa: RUF012
+    lines: list[Times] = []  # noqa: RUF012
 
     @classmethod
     def of(
         cls,
         irradiance: xr.Dataset,
-        lines: list[npt.NDArray[np.datetime64]],
+        lines: list[Times],
         subject: str = "the flight line was",
-        others: Sequence[npt.NDArray[np.datetime64]] = (),
+        others: Sequence[Times] = (),
     ) -> Self:
         # The error for all ``lines``, sorted times of lines outside the record; ``others``: inside it.
         record = irradiance[IRRADIANCE_TIME].values.astype("datetime64[ns]")
@@ -946,7 +951,7 @@ class UncoveredError(TimeError):
         return error
 
 
-def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
+def cut_irradiance(irradiance: xr.Dataset, time: Times) -> xr.Dataset:
     # Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
     #
     # irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,

@@ -3,17 +3,14 @@
 The spectra of a record judge one another: no model of the sky, no place and no time of the day enter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.constants import JUDGED_NM
 from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
+from hyperpaint.base.schema import Array, Bools, Floats, Indices
 
 
 @dataclass(frozen=True)
@@ -193,23 +190,27 @@ def judge_record(
     excess = spectrum[1:-1] - 0.5 * (spectrum[:-2] + spectrum[2:])
     excess[::2] *= -1.0
     alternation = abs(float(_median(excess[:, None], axis=0)[0])) if excess.size > RULES.window else 0.0
-    problems = Problems("the irradiance record is not daylight", SchemaError)
-    problems.add_if(
-        min(channels, scans) < RULES.least_share,
-        f"{100 * channels:.0f} % of the channels and {100 * scans:.0f} % of the scans remain: "
-        + "; ".join(fault.found for fault in faults),
-        expected=f"at least {100 * RULES.least_share:g} %",
-        mend="check the spectrometer and the conversion of its files; leave faulty files out",
-        code="irradiance-lost",
+    Problems("the irradiance record is not daylight", SchemaError).raise_if_any(
+        (
+            min(channels, scans) < RULES.least_share,
+            Problem(
+                f"{100 * channels:.0f} % of the channels and {100 * scans:.0f} % of the scans remain: "
+                + "; ".join(fault.found for fault in faults),
+                expected=f"at least {100 * RULES.least_share:g} %",
+                mend="check the spectrometer and the conversion of its files; leave faulty files out",
+                code="irradiance-lost",
+            ),
+        ),
+        (
+            alternation > RULES.alternation,
+            Problem(
+                f"every second channel is {np.exp(-alternation):.3g} times its neighbours",
+                expected="a smooth spectrum",
+                mend="check the spectrometer and the conversion of its files",
+                code="irradiance-lost",
+            ),
+        ),
     )
-    problems.add_if(
-        alternation > RULES.alternation,
-        f"every second channel is {np.exp(-alternation):.3g} times its neighbours",
-        expected="a smooth spectrum",
-        mend="check the spectrometer and the conversion of its files",
-        code="irradiance-lost",
-    )
-    problems.raise_if_any()
     # levels in intervals of 100 nm of the scans that remain
     used = judged & (np.isnan(values).mean(axis=0) <= RULES.missing_share)
     complete = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1)) if used.any() else np.zeros(0, int)
@@ -252,7 +253,7 @@ def _smooth(level: Floats) -> Floats:
     return np.asarray(np.interp(np.arange(level.size), known, smooth))
 
 
-def _stuck(values: Floats, rows: npt.NDArray[np.intp]) -> Bools:
+def _stuck(values: Floats, rows: Indices) -> Bools:
     # Channels that never change between unequal scans, while those around them do, beyond their rounding;
     # ``rows`` are the scans that are compared
     change = np.abs(np.diff(values[rows], axis=0))
@@ -267,7 +268,7 @@ def _stuck(values: Floats, rows: npt.NDArray[np.intp]) -> Bools:
     return stuck
 
 
-def _unlike_scans(levels: Floats, seconds: Floats) -> npt.NDArray[np.intp]:
+def _unlike_scans(levels: Floats, seconds: Floats) -> Indices:
     # Numbers of up to three scans in a row that differ from the scans before and after, which agree.
     # ``levels`` (scan, interval) are logarithms. Too many such scans are weather, and stay.
     count = len(levels)

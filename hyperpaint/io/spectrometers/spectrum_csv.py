@@ -1,7 +1,5 @@
 """Text tables of laboratories: spectra, certificates of white panels, calibrations of FRM4SOC."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -9,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems
-from hyperpaint.base.schema import VARIABLES
-from hyperpaint.base.units import conversion_factor, is_unit
+from hyperpaint.base.facts import conversion_factor, is_unit
+from hyperpaint.base.schema import VARIABLES, Floats
 from hyperpaint.io.files.reading import (
     TABLE_DIALECTS,
     first_row,
@@ -35,9 +31,7 @@ _WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
 # --- spectra of two columns --------------------------------------------------------------------------------
 
 
-def read_spectrum_csv(
-    path: str | Path, headings: int = 1
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def read_spectrum_csv(path: str | Path, headings: int = 1) -> tuple[Floats, Floats]:
     # Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks,
     # with decimal points or commas; in ascending or descending order. Separators may differ from line to line
     # where numbers have decimal points.
@@ -52,9 +46,7 @@ def read_spectrum_csv(
     return wavelength, values
 
 
-def _table(
-    path: Path, headings: int, *, has_units: bool = False
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
+def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Floats, Floats, list[str]]:
     # Return wavelengths [nm] and values, and the headings of these two columns.
     # has_units: Whether the headings, and the comments above the numbers, may contain units and name further
     #     columns, of uncertainties.

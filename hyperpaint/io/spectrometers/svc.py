@@ -7,8 +7,6 @@ decimal comma, and only a comma *and a blank* separate the items of a list. `DIA
 way to write such a file.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import math
@@ -21,13 +19,11 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.base.schema import VARIABLES, Bools, Floats, Ints, label
 from hyperpaint.io.files.reading import read_limited_text, refuse
 
 from .spectrum_files import (
@@ -486,13 +482,14 @@ def open_svc(
         code="option-conflict",
     )
     one_of(overlap, get_args(Overlap), "overlap", problems=problems)
-    problems.add_if(
-        joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf),
-        f"joins={joins!r}",
-        expected="two increasing wavelengths in nm",
-        code="value-out-of-range",
+    problems.raise_if_any(
+        (
+            joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf),
+            Problem(
+                f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+            ),
+        ),
     )
-    problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
     files = find_paths(
@@ -553,7 +550,7 @@ class _Measurement(NamedTuple):
     overlap: SvcOverlap
     wavelength: Floats
     values: Floats
-    detector: npt.NDArray[np.int64] | None
+    detector: Ints | None
     trimmed_at: tuple[float, ...]
 
 
@@ -651,7 +648,7 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
     return tuple(handovers)
 
 
-def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
+def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> Bools:
     # Return which channels remain: below a join those of the lower detector, above it those of the next.
     is_used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):

@@ -5,8 +5,16 @@ groups opened lazily and checked as they are read, a report of `verify`. Called 
 """
 
 from .layout import encoding
-from .reader import is_complete, list_groups, load_group, open_group, open_store, open_unverified
-from .verification import StoreReport, verify
+from .reader import (
+    StoreReport,
+    is_complete,
+    list_groups,
+    load_group,
+    open_group,
+    open_store,
+    open_unverified,
+    verify,
+)
 from .writer import to_store
 
 __all__ = [

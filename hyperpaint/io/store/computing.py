@@ -3,6 +3,17 @@
 A cluster repeats a task whose worker died, and up to `RETRIES` times a task that raised an error, since a
 file system shared by many nodes may fail for a moment. The result of a block is fetched as soon as it is
 computed, so that a worker that dies loses only its current blocks.
+
+The disk of a store: free space, files that survive a power failure, exchange of two folders in one step.
+
+The kernel keeps written files in memory for about half a minute. All files and folders of a group are
+therefore flushed before it is published. The disk begins to write every chunk at once, so that the final
+flush is short.
+
+Chunk files of a group under construction: written from dask blocks, resumed by the next run.
+
+A chunk file ends with the crc32c of all bytes before it, and gets its name when it is complete. A power
+failure may leave it empty, so that the next run keeps only chunks with a valid checksum.
 """
 
 from __future__ import annotations
@@ -10,25 +21,413 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
+import ctypes
+import errno
+import functools
+import itertools
+import math
+import os
+import shutil
+import stat
 import sys
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+import uuid
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
+import xarray as xr
 
+from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
-from .disk import RUN_AGAIN
+from .budget import MARGIN, size_text, thread_space
+from .layout import Codec, chunks_of, encode_chunk, fill_value
+from .manifest import Location, replace_file, sync
 
 if TYPE_CHECKING:
     import dask.array as da
     from distributed import Client
 
-    from .chunks import Target
+
+# Disk space of a cube beyond the bits that vary, relative to its size in memory: headers, and constant bits
+# that do not compress completely. White noise of 12 bits in uint16 took 0.76, of 16 bits 1.00.
+NOISE_SHARE = 0.03
+
+_SIGN_AND_EXPONENT = 9
+
+# Minimum disk space of a file or folder [byte]; a chunk has a file and two folders.
+_BLOCK = 4096
+
+RUN_AGAIN = "run again: finished chunks are kept"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def disk_needed(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> int:
+    """Return the disk space of a group if all its data were noise, margin included [byte].
+
+    Only the bits of a sample that vary count: those up to the saturation of the counts, and sign, exponent
+    and rounded mantissa of a float; ``"fast"``, which shuffles bytes, needs complete bytes. Other data take
+    less: real counts of 12 bits about half.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> cube = (("along_track", "band", "cross_track"), np.zeros((640, 272, 640), "uint16"))
+    >>> disk_needed(xr.Dataset({"counts": cube})) // 10**6
+    245
+    """
+    total, blocks = 0.0, 16
+    for name, variable in dataset.variables.items():
+        # bits of a sample, and those that vary
+        bits = varying = 8 * int(variable.dtype.itemsize)
+        saturation = dataset.variables.get("saturation_count") if name == "counts" else None
+        if variable.dtype.kind == "f" and bits == 32 and "keep_bits" in variable.attrs:
+            varying = min(bits, _SIGN_AND_EXPONENT + int(variable.attrs["keep_bits"]))
+        elif saturation is not None and saturation._in_memory and saturation.size == 1:
+            varying = min(bits, math.ceil(math.log2(max(2.0, float(saturation.values.item()) + 1))))
+        varying = -(-varying // 8) * 8 if codec == "fast" else varying
+        total += variable.nbytes * (min(1.0, varying / bits + NOISE_SHARE) if bits else 1.0)
+        # files and folders of chunks
+        grid = zip(variable.shape, chunks_of(variable), strict=True)
+        blocks += 4 * math.prod(-(-size // step) for size, step in grid) + 4
+    return int(MARGIN * total) + blocks * _BLOCK
+
+
+def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
+    # Raise StoreError if the disk of a store has less free space than ``needed`` bytes.
+    #
+    # The store and its parent folders may be missing. ``begun``: folders of an interrupted run that this run
+    # resumes; their size is subtracted.
+    free, missing = _free(store), needed
+    for file in (file for folder in begun for file in folder.rglob("*")):
+        with contextlib.suppress(OSError):  # another run may remove it
+            missing -= file.stat().st_size if file.is_file() else 0
+    if free is not None and missing > free:
+        raise StoreError(
+            f"cannot write {store}: {size_text(missing)} of disk are needed, {size_text(free)} are free",
+            mend="free disk space, choose another disk, or do not store reflectance (reflectance='none'), "
+            "which can be computed from counts",
+            code="disk-short",
+        )
+
+
+def _free(store: Path) -> int | None:
+    # Free bytes of the disk of a store that may not exist yet, None if unknown
+    for folder in store.absolute().parents:
+        with contextlib.suppress(OSError):
+            return shutil.disk_usage(folder).free
+    return None
+
+
+@contextlib.contextmanager
+def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
+    # Raise a StoreError with a remedy for a full disk, exhausted memory and unusable files.
+    def needs() -> str:
+        needed = size_text(sum(map(disk_needed, groups.values())))
+        free = None if location.local is None else _free(location.local)
+        available = "" if free is None else f", {size_text(free)} are free now"
+        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}"
+
+    try:
+        yield
+    except PaintError as error:
+        cause = error.__cause__  # the error of a block, which names the block
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            raise StoreError(
+                f"{error.problem.found}: {needs()}",
+                mend=f"free disk space, then {RUN_AGAIN}",
+                code="disk-full",
+            ) from cause
+        raise
+    except OSError as error:
+        found, file = f"cannot write {location.url}: {error.strerror or error}", error.filename
+        if error.errno in _FULL:
+            raise StoreError(
+                f"{found}; {needs()}", mend=f"free disk space, then {RUN_AGAIN}", code="disk-full"
+            ) from error
+        if isinstance(file, str | bytes) and location.local is not None:
+            # a file outside the store and its staging folder is an input of the run
+            store, name = os.path.abspath(location.local.parent), location.local.name
+            inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), store).split(os.sep)[0]
+            is_input = inside not in (name, f".partial-{name}")
+            found += f": {os.fsdecode(file)}, an input" if is_input else f" ({os.fsdecode(file)})"
+        elif file:
+            found += f" ({file})"
+        raise StoreError(found, mend=f"remove the cause, then {RUN_AGAIN}", code="file-unusable") from error
+    except (MemoryError, RuntimeError) as error:
+        # a thread that cannot be started raises a RuntimeError
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+            raise
+        raise StoreError(
+            f"cannot write {location.url}: memory ran out ({str(error) or 'an allocation failed'})",
+            mend="take fewer lines per dask chunk or fewer threads, end other programs, or raise the limit; "
+            + RUN_AGAIN,
+            code="memory-short",
+        ) from error
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+# Number of files that are flushed in parallel: disks process several requests together.
+_AT_ONCE = 8
+
+
+def flush_group(folder: Path, expected: Iterable[Path]) -> None:
+    # Flush all files of a folder, then all its folders, to the disk.
+    #
+    # FileNotFoundError if a file of ``expected`` is missing, since another process may have removed it.
+    walked = list(os.walk(folder, topdown=False))
+    files = {os.path.join(parent, name) for parent, _, names in walked for name in names}
+    for path in expected:
+        if os.fspath(path) not in files:
+            raise FileNotFoundError(errno.ENOENT, "a finished chunk has been removed", os.fspath(path))
+    at_once(sync, sorted(files), _AT_ONCE)
+    at_once(sync, [parent for parent, _, _ in walked], _AT_ONCE)
+
+
+def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], max_parallel: int) -> list[_Result]:
+    # Return the results of a function that waits for the disk, ``max_parallel`` items in parallel.
+    #
+    # The items are processed one after the other if the address space is limited: a thread would reserve some
+    # 70 MiB of it, which the memory plan of a run has assigned to its computing threads.
+    if thread_space():
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(max_parallel) as pool:
+        return list(pool.map(function, items))
+
+
+_HERE = -100  # AT_FDCWD
+_EXCHANGE = 2  # RENAME_EXCHANGE
+#: Errors of kernels, sandboxes and file systems without this call.
+_UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
+
+
+def exchange(path: Path, target: Path) -> bool:
+    # Exchange two existing paths in one step, as Linux can on most local disks; else return False.
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError, TypeError):  # not Linux
+        return False
+    # raise the audit event of `os.rename`
+    sys.audit("os.rename", os.fspath(path), os.fspath(target), -1, -1)
+    if rename(_HERE, os.fsencode(path), _HERE, os.fsencode(target), _EXCHANGE) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in _UNKNOWN:
+        return False
+    raise OSError(code, os.strerror(code), os.fspath(path), None, os.fspath(target))
+
+
+# --- room on the disk --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Target:
+    """Stored array to which blocks are written without zarr's event loop; its pickle is small."""
+
+    place: Location  # Of the group
+    name: str
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]  # On disk
+    chunk: tuple[int, ...]  # Storage chunk
+    fill: Any  # Pads edge chunks
+    codec: Codec = DEFAULT_CODEC
+
+    @classmethod
+    def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:
+        dtype = np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<")
+        return cls(
+            place,
+            name,
+            tuple(map(str, variable.dims)),
+            variable.shape,
+            dtype,
+            chunks_of(variable),
+            fill_value(variable.dtype),
+            codec,
+        )
+
+    def key(self, position: tuple[int, ...]) -> str:
+        return "/".join(("c", *map(str, position)))
+
+    def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
+        # Write a block of chunks, whose first has the position ``offset`` in the grid of chunks.
+        #
+        # Chunks at the far edges of the array may be incomplete. Return the crc32c of the encoded chunks
+        # (uint32), in the shape of the block's grid.
+        # times are stored as int64 nanoseconds
+        if block.dtype.kind in "mM":
+            block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
+        if block.dtype.newbyteorder("<") != self.dtype:
+            raise TypeError(f"a block of {self.name} has dtype {block.dtype}, expected {self.dtype}")
+        block = block.astype(self.dtype, copy=False)
+        grid = tuple(-(-size // step) for size, step in zip(block.shape, self.chunk, strict=True))
+        sums = np.empty(grid, dtype=np.uint32)
+        for index in np.ndindex(grid):
+            region = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, self.chunk, strict=True))
+            samples = np.ascontiguousarray(block[region])
+            position = tuple(start + step for start, step in zip(offset, index, strict=True))
+            encoded, checksum = encode_chunk(samples, self.chunk, self.fill, self.codec)
+            sums[index] = int.from_bytes(checksum, "little")
+            key = self.key(position)
+            if self.place.local is None:
+                self.place.fs.pipe_file(self.place.key(self.name, key), encoded + checksum)
+            else:
+                write_chunk(self.place.local / self.name, key, [encoded, checksum])
+        return sums
+
+
+def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
+    # without parents=True, so that a task that runs after its run cannot create the array's folder again
+    for parent in reversed((folder / key).relative_to(folder).parents[:-1]):
+        (folder / parent).mkdir(exist_ok=True)
+    replace_file(folder / key, parts, durable=False)
+
+
+def is_streamed(variable: xr.Variable) -> bool:
+    # Return whether a variable is written block by block; xarray writes small variables.
+    import dask
+
+    if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
+        return False
+    return dask.is_dask_collection(variable) or chunks_of(variable) != variable.shape
+
+
+def placeholder(variable: xr.Variable) -> xr.Variable:
+    # Return a variable of the same shape and dtype, for xarray to write metadata; it is never computed.
+    import dask.array as da
+
+    chunks = tuple((size,) for size in variable.shape)
+    return variable.copy(data=da.Array({}, f"placeholder-{uuid.uuid4().hex}", chunks, dtype=variable.dtype))
+
+
+def lazy_checksums(
+    variable: xr.Variable, target: Target, finished: Mapping[tuple[int, ...], int] | None = None
+) -> da.Array:
+    # Return the lazy checksums of a variable's chunks; computing them stores the variable in ``target``.
+    #
+    # ``finished``: checksums of chunks in the store, by position in the grid; blocks of such chunks are not
+    # computed.
+    import dask
+    import dask.array as da
+    from dask.highlevelgraph import HighLevelGraph
+
+    if dask.is_dask_collection(variable):
+        data = variable.data
+    else:  # in memory or in a file: a task reads one storage chunk
+        data = variable.chunk(
+            dict(zip(variable.dims, target.chunk, strict=True)), name=f"slabs-{uuid.uuid4().hex}"
+        ).data
+    offsets, grid = [], []
+    for sizes, step in zip(data.chunks, target.chunk, strict=True):
+        offsets.append(tuple(start // step for start in itertools.accumulate((0, *sizes[:-1]))))
+        grid.append(tuple(-(-size // step) for size in sizes))
+    sums = da.map_blocks(
+        functools.partial(_write_block, target, offsets),
+        data,
+        chunks=tuple(grid),
+        dtype=np.uint32,
+        meta=np.empty((0,) * data.ndim, dtype=np.uint32),
+        name=f"store-{uuid.uuid4().hex}",
+    )
+    if not finished:
+        return sums
+    # checksums of finished blocks replace their tasks, which dask drops
+    name = f"resumed-{uuid.uuid4().hex}"
+    layer: dict[tuple[Any, ...], Any] = {}
+    for index in np.ndindex(sums.numblocks):
+        first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
+        shape = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
+        checksums = [
+            finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)
+        ]
+        layer[(name, *index)] = (sums.name, *index)
+        if None not in checksums:
+            layer[(name, *index)] = np.array(checksums, dtype=np.uint32).reshape(shape)
+    graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
+    return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
+
+
+def _write_block(
+    target: Target,
+    offsets: Sequence[tuple[int, ...]],
+    block: np.ndarray[Any, Any],
+    block_id: tuple[int, ...] = (),
+) -> np.ndarray[Any, Any]:
+    # Write a dask block; ``offsets``: positions of the first chunks of all blocks, for every dim
+    return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
+
+
+def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
+    # Move the chunks of an earlier run with a valid checksum into the array's folder.
+    #
+    # ``leftover``: folder of the array in the earlier run, which may be missing; ``finished``: gets the
+    # checksums of moved chunks, by position in the grid.
+    if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
+        return
+    folder = target.place.local / target.name
+    expected = math.prod(target.chunk) * target.dtype.itemsize
+
+    def moved(position: tuple[int, ...]) -> int | None:
+        key = target.key(position)
+        source = leftover / key
+        try:
+            if not stat.S_ISREG(os.lstat(source).st_mode):
+                return None
+            checksum = whole_chunk(source.read_bytes(), expected)
+        except OSError:
+            return None
+        if checksum is not None:
+            (folder / key).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, folder / key)
+        return checksum
+
+    grid = (-(-size // step) for size, step in zip(target.shape, target.chunk, strict=True))
+    positions = [position for position in np.ndindex(*grid) if position not in finished]
+    checksums = zip(positions, at_once(moved, positions, os.cpu_count() or 1), strict=True)
+    finished.update((position, value) for position, value in checksums if value is not None)
+
+
+def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
+    """Return the crc32c at the end of a chunk, None if it differs from that of the bytes before it.
+
+    ``decoded_bytes``: size that the blosc frame of the chunk must declare; None for any.
+
+    Examples
+    --------
+    >>> whole_chunk(b"") is None, whole_chunk(bytes(20)) is None
+    (True, True)
+    """
+    import google_crc32c
+
+    body, stored = encoded[:-4], int.from_bytes(encoded[-4:], "little")
+    if not body or int(google_crc32c.value(body)) != stored:
+        return None
+    if decoded_bytes is not None and int.from_bytes(body[4:8], "little") != decoded_bytes:
+        return None
+    return stored
+
+
+def is_mendable(error: BaseException) -> bool:
+    # Return whether the same run may succeed later, so that its finished chunks are kept.
+    #
+    # That is so after an interruption, a full disk or memory, or lost workers. An error in the data would
+    # occur again.
+    if isinstance(error, PaintError):
+        return error.__cause__ is not None and is_mendable(error.__cause__)
+    is_of_cluster = type(error).__module__.partition(".")[0] == "distributed"
+    return is_of_cluster or not isinstance(error, Exception) or isinstance(error, OSError | MemoryError)
+
+
+# --- chunks ------------------------------------------------------------------------------------------------
 
 # Number of times a cluster repeats a task that raised an error.
 RETRIES = 3

@@ -9,8 +9,6 @@ All groups have the same rule, so that a chunk of `xarray.open_zarr` is the chun
 * any other array is one chunk, unless it is larger than 64 MiB.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

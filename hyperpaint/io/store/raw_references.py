@@ -32,7 +32,6 @@ from urllib.parse import quote, unquote
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import (
     FormatError,
     IncompleteStoreError,
@@ -43,10 +42,10 @@ from hyperpaint.base.errors import (
 )
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import head_of, read_limited
+from hyperpaint.base.schema import Array
 
 from .layout import encoding, prepare
-from .location import clean_group
-from .manifest import INPUTS
+from .manifest import INPUTS, clean_group
 
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"

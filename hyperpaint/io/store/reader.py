@@ -3,17 +3,23 @@
 The reader is `xarray.open_zarr`. Metadata are checked first: codecs that run code, and sizes that exceed
 memory, are errors. A group in its store's manifest must be unchanged and have all its chunks; zarr compares
 the crc32c of a chunk with its bytes during reading.
+
+Groups of a store: metadata, the list of all nodes in the root, and checks before a group is written.
+
+`verify`: check that every chunk of a store is present, readable, and unchanged since it was written.
 """
 
-from __future__ import annotations
-
+import functools
 import itertools
+import json
 import math
 import os
 import stat
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
@@ -22,32 +28,37 @@ import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError, warn_user
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION, stamp_means
 
-from .location import (
+from .budget import counted
+from .computing import whole_chunk
+from .manifest import (
+    CONTENT,
     MANIFEST_NODE,
+    MAX_CHUNKS,
     MAX_DEPTH,
+    MAX_MESSAGES,
     MAX_METADATA_BYTES,
     MAX_NODES,
     MAX_VALUES,
     METADATA,
-    Location,
-    clean_group,
-    joined,
-)
-from .manifest import (
-    CONTENT,
-    MAX_CHUNKS,
+    OLD_RECORD,
     OWN_ATTRS,
     SEAL,
+    GroupEntry,
+    Location,
     Manifest,
     attributes_replaced,
     changed_attributes,
     check_state,
+    chunk_digest,
     chunk_keys,
+    clean_group,
     content_of,
     document_checksum,
     entry_of,
+    joined,
+    store_state,
 )
 
 # Maximum size of a group that `load_group` reads into memory [byte].
@@ -503,3 +514,521 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
     ):
         problems.add_if(size > most, f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
     problems.raise_if_any()
+
+
+# --- names of groups ---------------------------------------------------------------------------------------
+
+# Attributes that depend on the time of writing, and are not part of the content.
+VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
+
+LISTED = {"kind": "inline", "must_understand": False}
+
+
+def groups_above(group: str) -> list[str]:
+    # Return the ancestors of a group, the root first.
+    names = group.split("/") if group else []
+    return ["/".join(names[:depth]) for depth in range(len(names))]
+
+
+def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
+    # Return attributes with format, version, time and a new line of history.
+    import datetime
+
+    time = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    line = f"{time} hyperpaint {version_of_program()}: {action}"
+    return {
+        **{key: value for key, value in attrs.items() if key not in OWN_ATTRS},
+        "Conventions": "CF-1.11",
+        "hyperpaint_format": FORMAT_VERSION,
+        "hyperpaint_version": version_of_program(),
+        "created": time,
+        "history": "\n".join(text for text in (str(attrs.get("history", "")), line) if text),
+    }
+
+
+@functools.cache
+def version_of_program() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("hyperpaint")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "attributes": json.loads(json.dumps(attributes, default=lambda value: value.tolist())),
+        "zarr_format": 3,
+        "node_type": "group",
+    }
+
+
+def ensure_groups(groups: Iterable[str], location: Location) -> None:
+    # Write the missing or damaged metadata of groups; their contents stay.
+    for group in groups:
+        try:
+            if location.metadata(group) is not None:
+                continue
+        except IncompleteStoreError:
+            pass
+        location.write_json(group_document(stamped({}, "created")), group, METADATA)
+
+
+def set_attributes(group: str, attributes_to_set: Mapping[str, Any], location: Location) -> None:
+    stored = location.attributes(group)
+    if not has_attributes(group, attributes_to_set, location):
+        location.write_json(
+            group_document({**stored, **stamped({**stored, **attributes_to_set}, "to_store")}),
+            group,
+            METADATA,
+        )
+
+
+def has_attributes(group: str, expected: Mapping[str, Any], location: Location) -> bool:
+    # Return whether a group exists with the expected attributes, except `VOLATILE_ATTRS`.
+    if not location.has(group, METADATA):
+        return False
+    stored, plain = location.attributes(group), group_document(expected)["attributes"]
+    lasting = {key: value for key, value in plain.items() if key not in VOLATILE_ATTRS}
+    return all(key in stored and stored[key] == value for key, value in lasting.items())
+
+
+def listed_documents(location: Location) -> dict[str, Any]:
+    # Return the consolidated metadata of the root by path, empty if it has none.
+    try:
+        root = location.read_json("", METADATA) or {}
+    except IncompleteStoreError:
+        return {}
+    listed = root.get("consolidated_metadata")
+    documents = listed.get("metadata") if isinstance(listed, dict) else None
+    return dict(documents) if isinstance(documents, dict) else {}
+
+
+def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
+    # Return the root's metadata with those of all nodes, as consolidated by zarr.
+    listed = {}
+    for path in sorted(documents, key=lambda path: (path.count("/"), path)):
+        document = {key: value for key, value in documents[path].items() if key != "consolidated_metadata"}
+        if document["node_type"] == "group":
+            document["consolidated_metadata"] = {**LISTED, "metadata": {}}
+        listed[path] = document
+    return {**root, "consolidated_metadata": {**LISTED, "metadata": listed}}
+
+
+# --- checks before a group is written ----------------------------------------------------------------------
+
+
+def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
+    # Add the reasons why no group can be written below ``groups`` to the problems.
+    #
+    # ``overwrite``: whether damaged metadata may be replaced.
+    entries = location.entries("")
+    file = location.local is not None and location.local.is_file()
+    # a store without the root's metadata has a manifest
+    if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
+        problems.add("it exists and is not a Zarr v3 store", mend="choose another path", code="store-foreign")
+        return
+    parents = [] if location.local is None else location.local.absolute().parents
+    if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
+        problems.add(
+            f"it is inside the store {outer[0]}",
+            mend="write a group of that store, or choose another path",
+            code="path-inside-store",
+        )
+        return
+    for group in groups:
+        try:
+            # a store with only a manifest was left by a writer that was killed at its start
+            damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
+        except IncompleteStoreError:
+            damaged = True
+        problems.add_if(
+            damaged and not overwrite,
+            f"the metadata of group {'/' + group!r} are missing or damaged",
+            mend="pass overwrite=True to replace them; the groups in it stay",
+            option="pass --overwrite to replace them; the groups in it stay",
+            code="metadata-damaged",
+        )
+
+
+def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
+    # Return the state of the path where a group with some content is to be written.
+    #
+    # ``""``: nothing. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
+    # ``"parent"``: other groups or files of other programs. ``"array"``: an array, there or at a parent. Any
+    # other text describes a group that only ``overwrite`` replaces.
+    kinds = [location.kind(node) for node in (*groups_above(group)[1:], group)]
+    if "array" in kinds:
+        return "array"
+    entries = [name for name in location.entries(group) if name != MANIFEST_NODE or group]
+    if not kinds[-1] and not entries:
+        return ""
+    stored, lacks_chunks = content_of(location, group, manifest), False
+    if stored == content:
+        try:
+            if manifest is None:
+                entry_of(location, group)
+            else:
+                check_entry(location, group, manifest)
+            return "same"
+        except StoreError:
+            lacks_chunks = True
+    # only arrays of the group, also damaged ones, may be overwritten
+    children = {name: location.kind(joined(group, name)) for name in location.folders(group)}
+    children.pop("" if group else MANIFEST_NODE, None)
+    arrays = {
+        name
+        for name, node_type in children.items()
+        if node_type == "array" or (node_type == "unreadable" and location.has(group, name, "c"))
+    }
+    if len(arrays) < len(children) or (group and location.strays(group)):
+        return "parent"
+    entry = manifest.groups.get(group) if manifest is not None else None
+    added = sorted(arrays - set(entry.arrays)) if entry is not None else []
+    if lacks_chunks and added:
+        return f"lacks chunks, and contains {', '.join(added)} of other programs"
+    if lacks_chunks:
+        return "lacks chunks"
+    return "with other content" if stored else "was not written by this version of hyperpaint"
+
+
+#: Attributes of array wrappers of xarray and hyperpaint that refer to the wrapped array.
+_INNER = ("array", "_array", "variable", "_data")
+
+
+def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
+    # Return the names of variables that read lazily from a group of a store or store object of zarr.
+    return [
+        str(name)
+        for name, variable in dataset.variables.items()
+        if any(_lies_in(array, location, group) for array in _zarr_arrays(variable))
+    ]
+
+
+def is_named_by_content(variable: xr.Variable) -> bool:
+    # Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
+    #
+    # Usual names depend on the URL and the time of the root folder, names of `named_stores` on the content.
+    return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
+
+
+def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
+    import dask
+    import zarr
+    from dask.blockwise import Blockwise
+
+    pending: list[Any] = [] if variable._in_memory else [variable]
+    # values in the layers of a graph, without creating their tasks
+    if pending and dask.is_dask_collection(variable):
+        pending = []
+        for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
+            if isinstance(layer, Blockwise):
+                pending += [layer.task, *(value for value, index in layer.indices if index is None)]
+            else:
+                pending += getattr(layer, "mapping", {}).values()
+    # search the wrappers for zarr arrays
+    visited: set[int] = set()
+    while pending:
+        value = pending.pop()
+        if id(value) not in visited:
+            visited.add(id(value))
+            if isinstance(value, zarr.Array):
+                yield value
+            else:
+                pending.extend(_parts(value))
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    if isinstance(value, Mapping):
+        return value.values()
+    if isinstance(value, list | tuple | set):
+        return value
+    module = type(value).__module__.partition(".")[0]
+    if module == "dask":  # Task, DataNode, Alias
+        return (getattr(value, name) for name in ("args", "kwargs", "value") if hasattr(value, name))
+    if module in ("xarray", "hyperpaint"):
+        names = {slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ())}
+        names |= set(getattr(value, "__dict__", ()))
+        return (getattr(value, name) for name in _INNER if name in names)
+    return ()
+
+
+def _lies_in(array: Any, location: Any, group: str) -> bool:
+    place = array.store_path
+    if not isinstance(location, Location):
+        return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
+    root, base = getattr(place.store, "root", None), getattr(place.store, "path", None)
+    if location.local is not None:  # local stores
+        return root is not None and (Path(root) / place.path).resolve().is_relative_to(
+            (location.local / group).resolve()
+        )
+    if base is None or root is not None:  # fsspec stores
+        return False
+    source = "/".join(part.strip("/") for part in (str(base), place.path) if part)
+    return (source + "/").startswith(location.key(group).strip("/") + "/")
+
+
+# --- verification ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StoreReport:
+    """Result of `verify`.
+
+    Attributes
+    ----------
+    path
+        The store.
+    groups
+        Groups that hold arrays.
+    chunks
+        Number of chunks read.
+    problems
+        One line per problem with its code at the end; empty for a valid store.
+    notes
+        Groups and arrays that could not be checked, and additions by other programs.
+    resume
+        Command that finishes an unfinished store; empty if unknown.
+    """
+
+    path: str
+    groups: tuple[str, ...]
+    chunks: int
+    problems: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    resume: str = ""
+
+    @property
+    def ok(self) -> bool:
+        # Whether there are no problems.
+        return not self.problems
+
+    def __str__(self) -> str:
+        state = counted(len(self.problems), "problem") if self.problems else "whole"
+        counts = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
+        return "\n  ".join(
+            [f"{self.path}: {counts}, {state}", *self.problems, *(f"note: {note}" for note in self.notes)]
+        )
+
+
+def verify(path: str | os.PathLike[str]) -> StoreReport:
+    """Read every chunk of a store and compare it with the store's manifest.
+
+    Finds groups that are unfinished, deleted, exchanged or changed; chunks that are missing, damaged,
+    exchanged or outdated; and changed metadata. Groups and variables that other programs added are read, and
+    listed in the notes. In a Zarr store without a manifest, damaged chunks are found if they have checksums.
+
+    Parameters
+    ----------
+    path
+        Folder, zip file or URL of the store.
+
+    Returns
+    -------
+    StoreReport
+        Report with all problems; ``report.ok`` is True if there are none.
+
+    Raises
+    ------
+    StoreError
+        There is no Zarr store; or it is a store object or a repository of icechunk, which icechunk checks.
+    MissingExtraError
+        The package for this kind of URL is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.io.store import to_store
+    >>> path = to_store(xr.Dataset({"wavelength": ("band", np.arange(3.0))}), "memory://small.zarr")
+    >>> print(verify(path))
+    memory://small.zarr: 1 group, 1 chunk, whole
+    """
+    import zarr
+
+    opened_location, source = place_of(path)
+    location = opened_location or Location.of(path)
+    check_metadata(location, "")
+    StoreError.raise_if(
+        location.has("snapshots") and location.has("manifests"),
+        f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
+        expected="a Zarr store",
+        code="store-unreadable",
+    )
+    begin = _stamp(location)
+    if is_format_3(location):
+        nodes = location.nodes()
+    else:
+        nodes = {
+            joined(group, name): "array"
+            for group in list_groups(path)
+            for name in zarr.open_group(source, path=group, mode="r", use_consolidated=False).array_keys()
+        }
+    groups = sorted({name.rpartition("/")[0] for name, node_type in nodes.items() if node_type == "array"})
+    state = store_state(location, groups)
+    problems, notes = list(state.problems), list(state.notes)
+    try:
+        manifest = Manifest.read(location) or Manifest()
+    except StoreError:
+        manifest = Manifest()  # reported by the state
+    problems += [
+        f"/{name}: its metadata cannot be read [metadata-damaged]"
+        for name in nodes
+        if nodes[name] == "unreadable"
+    ]
+    problems += _metadata_problems(location, "", manifest.groups.get(""))
+    if manifest.groups:
+        problems += _listing_problems(location, nodes, manifest)
+        for group in ("", *(name for name, node_type in nodes.items() if node_type == "group")):
+            strays = [name for name in location.strays(group) if joined(group, name) not in manifest.groups]
+            stray_paths = [joined(group, name) for name in strays[:MAX_MESSAGES]]
+            notes += [f"/{stray_path}: neither a group nor an array" for stray_path in stray_paths]
+    chunks = 0
+    for group in dict.fromkeys((*manifest.groups, *groups)):
+        entry = manifest.groups.get(group)
+        # a group with the content of another write is reported by `store_state`
+        replaced = entry is not None and attributes_replaced(location, group, entry)
+        content = content_of(location, group, manifest)
+        current = entry is not None and entry.content == content
+        if not current and content in manifest.allowed(group):  # its writer has not yet written the manifest
+            try:
+                entry, current = entry_of(location, group), True
+            except StoreError as error:
+                problems.append(f"/{group}: {error!s:.400}")
+        recorded: Mapping[str, Any] = entry.arrays if entry is not None and current else {}
+        if replaced:
+            notes.append(f"/{group}: another program replaced its attributes; open_store knows them")
+        elif entry is not None and current and group:
+            problems += _metadata_problems(location, group, entry)
+        array_names = [name for name in location.folders(group) if nodes.get(joined(group, name)) == "array"]
+        for name in dict.fromkeys((*recorded, *array_names)):
+            array_path = joined(group, name)
+            if recorded and name not in recorded:
+                notes.append(f"/{array_path}: added by another program, not in the manifest")
+            try:
+                if name in recorded:
+                    count, faults = _recorded_chunks(location, group, name, recorded[name])
+                else:
+                    count, faults = _other_chunks(location, source, array_path)
+                chunks += count
+                problems += faults
+            except StoreError as error:
+                problems.append(f"/{array_path}: {error!s:.400}")
+    if _stamp(location) != begin:
+        problems.insert(0, "/: a writer changed the store during the check; run verify again [store-locked]")
+    return StoreReport(
+        location.url,
+        tuple(groups),
+        chunks,
+        tuple(dict.fromkeys(problems)),
+        tuple(dict.fromkeys(notes)),
+        state.resume,
+    )
+
+
+def _stamp(location: Location) -> bytes | None:
+    # Bytes of the manifest, which every writer changes at its start and end
+    try:
+        return location.read(MANIFEST_NODE, METADATA)
+    except StoreError:
+        return None
+
+
+def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
+    # Differences between the consolidated metadata of the root and the manifest
+    try:
+        root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
+    except StoreError:
+        return  # reported by `_metadata_problems`
+    head = root.get("consolidated_metadata")
+    if not isinstance(head, dict) or not head.items() >= LISTED.items():
+        yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
+        return
+    missing = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
+    for name in missing[:MAX_MESSAGES]:
+        yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
+    expected = {}
+    for group, entry in manifest.groups.items():
+        # skip a group that a killed writer replaced by one with other content
+        if not entry.content or content_of(location, group, manifest) == entry.content:
+            if group and not attributes_replaced(location, group, entry):
+                expected[group] = entry.metadata
+            expected |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
+    for name in filter(nodes.get, expected):
+        document = listed.get(name)
+        listed_document = dict(document) if isinstance(document, dict) else {}
+        inner_list = listed_document.pop("consolidated_metadata", {**LISTED, "metadata": {}})
+        if document_checksum(listed_document) != expected[name] or inner_list != {**LISTED, "metadata": {}}:
+            yield f"/{name}: the root's list of all metadata differs; run the writer again [listing-wrong]"
+
+
+def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
+    # Problems of a group's metadata: unreadable, missing, or different from the manifest
+    try:
+        document = location.metadata(group)
+        if entry is not None and document is None and not entry.content:  # else reported by `store_state`
+            yield f"/{group}: its metadata are missing [metadata-missing]"
+        changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
+        if changed:
+            names = ", ".join(changed)[:200]
+            yield f"/{group}: attributes differ from those written: {names} [attributes-changed]"
+    except StoreError as error:
+        yield f"/{group}: {error!s:.200}"
+
+
+def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
+    # Number of chunks of an array, and their differences from its manifest entry
+    array_path = joined(group, name)
+    document = location.metadata(array_path)
+    if document is None or document_checksum(document) != array.metadata:
+        changed = "metadata differ from those written [metadata-changed]"
+        return 0, [
+            f"/{array_path}: {'the array is missing [array-missing]' if document is None else changed}"
+        ]
+    keys = chunk_keys(document, array_path)
+    problems = [
+        f"/{array_path}/{stray}: not a chunk of this array [chunk-foreign]"
+        for stray in sorted(location.files(array_path) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
+    ]
+
+    def end(key: str) -> bytes | str:
+        encoded = location.read(array_path, key, limit=MAX_CHUNK_BYTES)
+        if encoded is None:
+            return "the chunk is missing [chunk-missing]"
+        return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        ends = dict(zip(keys, pool.map(end, keys), strict=True))
+    faults = [f"/{array_path}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
+    if not faults and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
+        faults = [
+            f"/{array_path}: chunks differ from those written: exchanged, stale or altered [chunk-changed]"
+        ]
+    return len(keys), problems + faults
+
+
+def _other_chunks(location: Location, source: Any, array_path: str) -> tuple[int, list[str]]:
+    # Number of chunks of an array without a manifest entry, and its unreadable chunks
+    import zarr
+
+    try:
+        array: Any = zarr.open_array(source, path=array_path, mode="r")
+    except Exception as error:  # zarr raises many classes of errors
+        return 0, [f"/{array_path}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
+    check_arrays(location.url, {array_path: array})
+
+    def state(index: tuple[int, ...]) -> str:
+        region = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, array.chunks, strict=True))
+        try:
+            np.asarray(array[region])
+        except Exception as error:  # a damaged chunk may raise anything that a codec raises
+            cause = f"{type(error).__name__}: {error!s:.200}"
+            return f"/{array_path}: chunk {index} cannot be read: {cause} [chunk-damaged]"
+        return ""
+
+    positions = list(
+        np.ndindex(*(-(-size // max(step, 1)) for size, step in zip(array.shape, array.chunks, strict=True)))
+    )
+    is_large = array.nbytes > MAX_CHUNK_BYTES // 8 * len(positions)  # chunks are read one by one
+    with ThreadPoolExecutor(1 if is_large else os.cpu_count()) as pool:
+        return len(positions), [text for text in pool.map(state, positions) if text]

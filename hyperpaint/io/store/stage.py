@@ -30,9 +30,9 @@ from urllib.parse import quote, unquote
 from hyperpaint.base.errors import StoreError
 from hyperpaint.base.input_files import head_of
 
-from .disk import exchange
-from .groups import groups_above
-from .location import MANIFEST_NODE, TEMPORARY, clean_group, sync
+from .computing import exchange
+from .manifest import MANIFEST_NODE, TEMPORARY, clean_group, sync
+from .reader import groups_above
 
 _ROOT = "%root"
 # Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.

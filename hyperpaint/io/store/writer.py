@@ -4,8 +4,6 @@ A group is built beside its store, flushed, and moved to its path; the manifest 
 writes the groups of a run; the store is unfinished until all of them are at their paths.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json
@@ -23,14 +21,37 @@ import xarray as xr
 
 from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import IncompleteStoreError, Problem, Problems, StoreError
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
-from hyperpaint.base.units import takes_quantities
 
-from . import chunks, computing, layout
+from . import computing, layout
 from .budget import check_memory, limited_threads, thread_space
-from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
-from .groups import (
+from .computing import check_disk, disk_needed, errors_of_the_system, flush_group
+from .layout import Layout
+from .manifest import (
+    CONTENT,
+    INPUTS,
+    METADATA,
+    OWN_ATTRS,
+    SEAL,
+    SETTINGS,
+    ArrayEntry,
+    GroupEntry,
+    Location,
+    Manifest,
+    Write,
+    check_state,
+    chunk_digest,
+    clean_group,
+    content_of,
+    content_text,
+    document_checksum,
+    entry_of,
+    joined,
+    seal_of,
+    store_state,
+)
+from .reader import (
     VOLATILE_ATTRS,
     check_above,
     ensure_groups,
@@ -45,27 +66,6 @@ from .groups import (
     stamped,
     version_of_program,
     with_listed,
-)
-from .layout import Layout
-from .location import METADATA, Location, clean_group, joined
-from .manifest import (
-    CONTENT,
-    INPUTS,
-    OWN_ATTRS,
-    SEAL,
-    SETTINGS,
-    ArrayEntry,
-    GroupEntry,
-    Manifest,
-    Write,
-    check_state,
-    chunk_digest,
-    content_of,
-    content_text,
-    document_checksum,
-    entry_of,
-    seal_of,
-    store_state,
 )
 from .stage import Staging, clear_up, discard, staging
 
@@ -448,7 +448,7 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if not chunks.is_mendable(error):
+        if not computing.is_mendable(error):
             for built in folders:
                 discard(built)
         raise
@@ -582,14 +582,14 @@ def _write_arrays(
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
     variables = {str(name): variable for name, variable in dataset.variables.items()}
-    streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
+    streamed = {name: variable for name, variable in variables.items() if computing.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
         # zarr writes metadata, and values of small arrays, in memory: on a disk its threads would write some
         # hundred small files slowly
         stored: dict[str, Any] = {}
         template = layout.with_variables(
             dataset.drop_vars(list(streamed)).compute(),
-            {name: chunks.placeholder(variable) for name, variable in streamed.items()},
+            {name: computing.placeholder(variable) for name, variable in streamed.items()},
             dataset.coords,
         )[list(dataset.variables)]
         options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
@@ -598,15 +598,15 @@ def _write_arrays(
         if place.local is not None:
             place.local.mkdir(parents=True, exist_ok=True)
         place.write_files({key: raw for key, raw in files.items() if key != METADATA})
-        targets = {name: chunks.Target.of(name, v, place, job.codec) for name, v in streamed.items()}
+        targets = {name: computing.Target.of(name, v, place, job.codec) for name, v in streamed.items()}
         # chunks that an earlier run finished
         finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
         for leftover in leftovers:
             for name, target in targets.items():
-                chunks.adopt(leftover / name, target, finished[name])
+                computing.adopt(leftover / name, target, finished[name])
             discard(leftover)
         lazy = {
-            name: chunks.lazy_checksums(variable, targets[name], finished[name])
+            name: computing.lazy_checksums(variable, targets[name], finished[name])
             for name, variable in streamed.items()
         }
         computed = computing.compute(lazy, targets, group=job.group, progress=progress)

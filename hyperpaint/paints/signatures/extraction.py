@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import (
     BODY,
     EXCLUDED as MIRROR_EXCLUDED,
@@ -38,19 +37,26 @@ from hyperpaint.base.schema import (
     CROSS_TRACK,
     LIBRARY_VARIABLES,
     SIGNATURE,
+    Array,
+    Floats,
+    Progress,
     Quality,
     flag_names,
     flags_set_from,
     numbers_of,
     quality_attrs,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
 from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.light.sun import solar_position
-from hyperpaint.radiometry.uncertainty.averages import MeanErrors, RegionSums, error_variables
-from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import (
+    NONE_KNOWN,
+    UNCERTAINTIES,
+    MeanErrors,
+    RegionSums,
+    error_variables,
+)
 from hyperpaint.regions import Regions, pixels_of, regions_from
 from hyperpaint.surroundings.corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, correct_coat
 

@@ -12,10 +12,9 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Bools, Floats, Ints
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
 from hyperpaint.geometry.georeference.locating import directions, matrices, quaternions
 from hyperpaint.light.diffuse_record import SPLIT
@@ -27,8 +26,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smoothing_matrix,
     to_nominal,
 )
-from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
-from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES, LineErrors, line_errors
 from hyperpaint.regions import Regions
 from hyperpaint.regions.polygons import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import (

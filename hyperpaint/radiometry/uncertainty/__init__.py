@@ -5,7 +5,7 @@
 pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 
-from .averages import mean_uncertainty
 from .photon_transfer import estimate_noise
+from .propagation import mean_uncertainty
 
 __all__ = ["estimate_noise", "mean_uncertainty"]

@@ -9,18 +9,14 @@ repeated frames or of a flight's homogeneous blocks, lie on a straight line whos
 properties of the camera.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -28,6 +24,14 @@ from hyperpaint.base.schema import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     STEP,
+    SWEEP_VARIABLES,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    label,
+    rename_to_roles,
+    require,
 )
 from hyperpaint.light.illumination import noise_of_record
 
@@ -135,15 +139,15 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     if "counts_variance" in dataset.variables:
         points, floor, source = _sweep_points(dataset)
     else:
-        dataset = schema.rename_to_roles(dataset)
+        dataset = rename_to_roles(dataset)
         points, floor, source = _line_points(dataset, repeated)
     estimate = _labelled(_fit_transfer(points), points, floor, source)
     if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
-        record = schema.require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
+        record = require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
         noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
         if noise is not None and noise.max() > MIN_RECORD_NOISE:
             array = xr.DataArray(noise.astype(np.float32), dims=IRRADIANCE_WAVELENGTH)
-            estimate["irradiance_u_random"] = schema.label(array, "irradiance_u_random")
+            estimate["irradiance_u_random"] = label(array, "irradiance_u_random")
     return estimate
 
 
@@ -153,7 +157,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 def _sweep_points(dataset: xr.Dataset) -> tuple[_VariancePoints, float, str]:
     names = ["counts", "counts_variance", "dark_counts", "frame_count"]
     names += ["saturation_count"] if "saturation_count" in dataset.variables else []
-    arrays = schema.require(dataset, names, "photon transfer of a sweep", schema.SWEEP_VARIABLES)
+    arrays = require(dataset, names, "photon transfer of a sweep", SWEEP_VARIABLES)
     dims = (STEP, BAND, CROSS_TRACK)
     counts = arrays["counts"].transpose(*dims)
     signal = (counts - arrays["dark_counts"]).transpose(*dims).values.astype(np.float64)
@@ -178,7 +182,7 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_VariancePoints, float, str]:
 def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, float, str]:
     names = ["counts", "dark_counts"]
     names += [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
-    arrays = schema.require(dataset, names, "photon transfer of a line")
+    arrays = require(dataset, names, "photon transfer of a line")
     counts, dark = arrays["counts"], arrays["dark_counts"]
     if "dark_time" in dark.dims:
         dark = dark.mean("dark_time")
@@ -210,14 +214,16 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
 
 def _block_starts(shape: tuple[int, ...]) -> Ints:
     lines, bands, columns = shape
-    problems = Problems("noise cannot be estimated", SchemaError)
-    problems.add_if(
-        lines < BLOCK_LINES, f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"
+    Problems("noise cannot be estimated", SchemaError).raise_if_any(
+        (
+            lines < BLOCK_LINES,
+            Problem(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"),
+        ),
+        (
+            bands < 3,
+            Problem(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"),
+        ),
     )
-    problems.add_if(
-        bands < 3, f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"
-    )
-    problems.raise_if_any()
     blocks = lines // BLOCK_LINES
     sampled = min(blocks, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
     return np.unique(np.linspace(0, blocks - 1, sampled).astype(np.int64)) * BLOCK_LINES
@@ -397,7 +403,7 @@ def _labelled(
     estimate = xr.Dataset()
     for name, value in values.items():
         base = name.removesuffix("_u")
-        estimate[name] = schema.label(xr.DataArray(np.float32(value)), base)
+        estimate[name] = label(xr.DataArray(np.float32(value)), base)
         if name != base:
             estimate[name].attrs["long_name"] = f"Standard uncertainty of {base}"
     dim, attrs = "transfer_signal", {"units": "count2", "long_name": "Variance of a count"}

@@ -2,23 +2,50 @@
 
 Errors are random or systematic. Random errors are independent in every sample. Systematic errors are shared
 by a flight, or by the lines of a column, like the noise of the mean dark and of a calibration.
+
+Known errors of a flight line, source by source, and the samples that share each of them.
+
+The tables are small for any number of lines: `averages` sums them over the pixels of a region.
+
+Means over pixels and their uncertainty: random errors average out, common errors do not.
 """
 
-import math
-from collections.abc import Mapping
-from typing import Any
+from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import dask
 import numpy as np
 import xarray as xr
+from scipy import sparse
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import CROSS_TRACK
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    LIBRARY_VARIABLES,
+    SIGNATURE,
+    VARIABLES,
+    Array,
+    Floats,
+    label,
+    require,
+)
 from hyperpaint.kernels.arguments import ErrorTerms
-from hyperpaint.light.illumination import INTERPOLATED, at_bands, matched_noise
+from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, matched_noise
+from hyperpaint.light.synchrony import line_light
 from hyperpaint.radiometry import slabs
+from hyperpaint.radiometry.spectral_axis import NominalAxis
+from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
 NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (
@@ -71,7 +98,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     for name in NOISE:
         if name not in dataset.variables:
             problems.add(
-                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}",
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
                 mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
                 code="variable-missing",
             )
@@ -79,7 +106,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     # a white reference replaces calibration and irradiance, a calibration the white reference
     others = OF_LIGHT if "reflectance_gain" in dataset.variables else OF_WHITE
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables and name not in others]
-    arrays = schema.require(dataset, names, "uncertainties of reflectance")
+    arrays = require(dataset, names, "uncertainties of reflectance")
     values = {name: slabs.small(array) for name, array in arrays.items()}
     return values if panel is None else {**values, "panel_u": panel}
 
@@ -104,14 +131,14 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     for name, cube, (components, extra) in zip(UNCERTAINTIES, cubes, details, strict=True):
         attrs = {
             "pdf_shape": "gaussian",
-            "err_corr_1_dim": list(schema.CUBE),
+            "err_corr_1_dim": list(CUBE),
             "err_corr_1_form": name.rpartition("_")[2],
             "err_corr_1_units": [],
             "err_corr_1_params": [],
             "components": ", ".join(components) or NONE_KNOWN,
             **extra,
         }
-        result[name] = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
+        result[name] = label(xr.DataArray(cube, dims=CUBE), name, **attrs)
     result["reflectance"].attrs["unc_comps"] = list(UNCERTAINTIES)
     return result
 
@@ -119,7 +146,7 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
 def masked_elements(line: xr.Dataset) -> int:
     # Return the number of elements of a line that receive no light.
     masked = line["masked"]
-    other_sizes = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
+    other_sizes = [line.sizes[dim] for dim in (BAND, CROSS_TRACK) if dim not in masked.dims]
     return int(masked.values.sum()) * math.prod(other_sizes)
 
 
@@ -233,3 +260,624 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
             code="value-out-of-range",
         )
     problems.raise_if_any()
+
+
+# --- sources of errors -------------------------------------------------------------------------------------
+
+
+class Form(NamedTuple):
+    """Samples that share an error, dim by dim, in the terms of FIDUCEO and obsarray."""
+
+    along_track: str
+    band: str
+    cross_track: str
+
+    def __str__(self) -> str:
+        return ", ".join(f"{dim} {form}" for dim, form in zip(self._fields, self, strict=True))
+
+
+#: Sources of error of a sample. Smile and smoothing correlate the random errors of neighbouring bands.
+FORMS = {
+    "noise": Form("random", "random", "random"),
+    "mean dark": Form("systematic", "random", "random"),
+    "gain of elements": Form("systematic", "random", "random"),
+    "irradiance noise": Form("triangle_relative", "bell_relative", "systematic"),
+    "pedestal": Form("random", "systematic", "systematic"),
+    "gain": Form("systematic", "systematic", "systematic"),
+    "white tile": Form("systematic", "systematic", "systematic"),
+    "irradiance": Form("systematic", "systematic", "systematic"),
+    "linearity": Form("systematic", "systematic", "systematic"),
+    "panel": Form("systematic", "systematic", "systematic"),
+    "dark": Form("systematic", "systematic", "systematic"),
+    "wavelength": Form("systematic", "systematic", "systematic"),
+    "stray light": Form("systematic", "systematic", "systematic"),
+}
+
+#: Variables of each source.
+COMPONENTS = {
+    "noise": NOISE,
+    "mean dark": ("dark_counts_u_random",),
+    "gain of elements": ("radiance_gain_u_random",),
+    "irradiance noise": ("irradiance_u_random",),
+    "pedestal": ("masked",),
+    "gain": ("radiance_gain_u_systematic",),
+    "white tile": ("reflectance_gain_u_systematic",),
+    "irradiance": ("irradiance_u_systematic",),
+    "linearity": ("linearity_u",),
+    "panel": ("panel",),
+    "dark": ("dark_counts_u_systematic",),
+    "wavelength": ("wavelength_u",),
+    "stray light": ("stray_light_u",),
+}
+
+MAX_HARMONICS = 20
+
+
+class LightErrors(NamedTuple):
+    # Irradiance of the bands, and its noise.
+    #: before, after (line,) int64, weight (line,) float64: samples around every line, and weight of the later
+    before: Array
+    after: Array
+    weight: Floats
+    level: Floats  #: (band,) float64: irradiance, mean over the record [W m-2 nm-1]
+    covariance: Floats  #: (band, band) float64: covariance of the noise of one sample, relative [1]
+
+
+@dataclass(frozen=True)
+class LineErrors:
+    # Standard uncertainties of a line by their sources; (band, column) unless noted.
+    per_electron: Floats  #: Counts per electron
+    noise_floor: Floats  #: Variance of a count without light [count2]
+    is_integer: bool  #: Whether counts are integers
+    read_noise: Floats  #: [count]
+    dark: Floats  #: Uncertainty of each mean dark [count]
+    dark_weights: Floats  #: (line, dark): weight of each dark in a line
+    gain_of_elements: Floats  #: Relative [1]
+    common: Mapping[str, Floats]  #: Errors that all samples share, relative [1], by source
+    dark_offset: Floats  #: Error of the dark that all elements share [count]
+    pedestal_variance: float  #: Variance of the pedestal of a line [count2]
+    wavelength_u: Floats  #: (band,) [nm]
+    wavelength: Floats  #: (band,) [nm]
+    light: LightErrors | None  #: None without noise of irradiance and without errors of wavelength
+    #: (band, band): uncertainty of the light from a source band, counts per count; None without stray light
+    stray_light: Floats | None
+
+
+def line_errors(line: xr.Dataset) -> LineErrors | None:
+    # Return the errors of a line whose reflectance has uncertainties; None where they cannot be separated.
+    #
+    # Reads the small variables. Errors can be separated if the line still holds the variables that its
+    # uncertainties were computed from: reflectance from a store or a map without calibration has only their
+    # sum.
+    if not {"reflectance", *UNCERTAINTIES} <= set(line.variables):
+        return None
+    attrs = [line[name].attrs for name in UNCERTAINTIES]
+    random, systematic = (str(texts.get("components", "")).split(", ") for texts in attrs)
+    components = [name for name in systematic if name in SYSTEMATIC]
+    required = [
+        *NOISE,
+        *components,
+        "dark_counts",
+        "exposure_time",
+        *(["time"] if components and "reflectance_gain" not in line.variables else []),
+    ]
+    is_known_form = tuple(random) == NOISE and WHOLE_COUNTS in attrs[0]
+    if not is_known_form or not set(required) <= set(line.variables):
+        return None
+    try:
+        arrays = require(line, required, "errors of a region")
+        values = dict(zip(arrays, dask.compute(*(array.values for array in arrays.values())), strict=True))
+        return _line_errors(line, values)
+    except (SchemaError, ValueError):
+        # bands or record were cut afterwards and do not fit the matrices
+        return None
+
+
+def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
+    from hyperpaint.radiometry.planning import dark_weights
+
+    shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
+    attrs = line[UNCERTAINTIES[1]].attrs
+
+    def of(name: str) -> Floats:
+        return np.broadcast_to(element_rows(values.get(name, 0.0), shape), shape)
+
+    is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
+    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
+    masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
+    common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
+    sources = {name: of(variable) for name, variable in common.items() if variable in values}
+    if "irradiance_u_systematic" in values:
+        channels = line[IRRADIANCE_WAVELENGTH].values
+        band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
+        sources["irradiance"] = np.broadcast_to(band_values[:, None], shape)
+    if "panel_scale_u" in line.variables:
+        sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
+    elif PANEL_U in attrs:
+        sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
+    # weights of the darks in every line
+    names = ("time", "dark_time", "dark_exposure_time")
+    times = {name: line[name].values for name in names if name in line.variables}
+    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
+    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
+    # a cube with a white reference may lack wavelengths, and has no uncertainty of them then
+    wavelength = np.asarray(
+        line["wavelength"] if "wavelength" in line.variables else np.full(shape[0], np.nan)
+    )
+    wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
+    return LineErrors(
+        per_electron=1.0 / of("electrons_per_count"),
+        noise_floor=floor,
+        is_integer=is_integer,
+        read_noise=of("read_noise"),
+        dark=of("dark_counts_u_random"),
+        dark_weights=dark_weights(times, count, exposure),
+        # a line has one of both
+        gain_of_elements=of("radiance_gain_u_random") + of("reflectance_gain_u_random"),
+        common=sources,
+        dark_offset=of("dark_counts_u_systematic"),
+        pedestal_variance=float(np.nanmean(floor + of("dark_counts_u_random") ** 2)) / masked
+        if masked
+        else 0.0,
+        wavelength_u=wavelength_u,
+        wavelength=wavelength.astype(np.float64),
+        light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
+        stray_light=_stray_light_errors(line),
+    )
+
+
+def _stray_light_errors(line: xr.Dataset) -> Floats | None:
+    names = [name for name in STRAY_LIGHT if name in line.variables]
+    if STRAY_U not in names or len(names) < 2:
+        return None
+    arrays = require(line, [*names, "exposure_time"], "errors of stray light")
+    bands = line.sizes[BAND]
+    shares = np.zeros((bands, bands))
+    if STRAY in arrays:
+        shares += arrays[STRAY].values
+    if SHIFT_TIME in arrays:
+        shares += float(arrays[SHIFT_TIME]) / float(np.mean(arrays["exposure_time"].values))
+    return np.asarray(float(arrays[STRAY_U]) * shares)
+
+
+def _light_errors(line: xr.Dataset) -> LightErrors:
+    names = ["irradiance", "irradiance_fwhm", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
+    names += ["wavelength", "fwhm"]
+    optional = ("band_spacing", "srf_offset", "srf", "radiance_gain", "irradiance_u_random")
+    names += [name for name in optional if name in line.variables]
+    arrays = {name: array.values for name, array in require(line, names, "noise of light").items()}
+    arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
+    spectra = arrays["irradiance"]
+    is_finite = np.isfinite(spectra)
+    is_complete = is_finite[:, is_finite.mean(axis=0) > COMMON_SHARE].all(axis=1)
+    levels = np.where(is_complete, np.where(is_finite, spectra, 0.0).sum(axis=1), np.nan)
+    neighbours = line_light(
+        line["time"].values, arrays[IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
+    )
+    weight = np.nan_to_num(neighbours.weight)
+    return LightErrors(neighbours.before, neighbours.after, weight, *matched_noise(arrays))
+
+
+def rounding_variance(variance: Array) -> Floats:
+    r"""Return the variance that rounding adds to a mean of many counts of one level [count2].
+
+    ``variance``: of the counts before rounding [count2]. The mean of rounded counts is off by
+    :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
+    Quantization Noise, 2008). The result is the mean square over all levels x: 1/12 without noise, 0 above
+    half a count of noise.
+    """
+    squares = (np.arange(1, MAX_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
+    return np.asarray((np.exp(-4.0 * np.pi**2 * squares * variance) / (2.0 * np.pi**2 * squares)).sum(axis=0))
+
+
+# --- averages ----------------------------------------------------------------------------------------------
+
+
+@takes_quantities()
+def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
+    r"""Mean reflectance over pixels, and its uncertainty.
+
+    Eager: reads the region.
+
+    Parameters
+    ----------
+    region
+        ``reflectance``, ``reflectance_u_random`` and ``reflectance_u_systematic``, as
+        ``.paint.reflectance(uncertainty=True)`` adds them, cut to the pixels of interest; NaN in pixels to
+        leave out.
+    dims
+        Dims to average over; by default along_track and cross_track. Their pixels must be next to each other
+        in space, in order: the distance of pixels counts.
+
+    Returns
+    -------
+    Dataset
+        On the other dims (mostly band): ``mean`` [1], ``n`` pixels, ``n_eff`` of them independent,
+        ``u_random`` and ``u_systematic`` [1], float64 and int64. The attribute ``components`` of both names
+        the known components. ``u_systematic`` is NaN where that is "none known", which does not mean that
+        there is no such error. Where sources of error can be separated, ``reflectance_errors`` (error_source,
+        band) and ``error_correlation`` (lag, band) as well, see `hyperpaint.paints.covariance`.
+
+    Raises
+    ------
+    SchemaError
+        A variable or a dim is missing.
+
+    Notes
+    -----
+    For a region of a line that still has its calibration, each source of error is propagated by itself. With
+    :math:`m` reflectance per count, :math:`x` columns, :math:`l` lines, :math:`s` samples of irradiance, and
+    :math:`w_{ls}` their weights,
+
+    .. math:: n^2 u_r^2 = \sum_{lx} u_{r,lx}^2 + \sum_x u_{D,x}^2 \Big(\sum_l m_{lx}\Big)^2
+              + \sum_x u_{g,x}^2 \Big(\sum_l \rho_{lx}\Big)^2
+              + u_E^2 \sum_s \Big(\sum_{lx} w_{ls} \rho_{lx}\Big)^2
+
+    band by band: noise is independent in every sample, the errors of mean dark and gain are common to an
+    element, the noise of irradiance to a sample of it. Several darks enter by their weights; rounding is
+    common to a column where noise is less than half a count. :math:`u_s` is the root of the sum of squares of
+    the errors that all bands share: gain, irradiance, dark, wavelength, linearity or a panel, and the
+    pedestal of each line. Elsewhere
+
+    .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
+              n_{eff} = n^2 \Big/ \sum_{ij} c_{ij}
+
+    with :math:`c_{ij}` the autocorrelation of the pixels at their distance, summed from the centre outwards
+    until it is not above zero. A surface's texture counts as correlated noise in it: the region should be
+    homogeneous, since a gradient over it leaves few independent pixels. The result is the uncertainty of the
+    mean of *these* pixels, not the difference to another part of the surface.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> rng = np.random.default_rng(0)
+    >>> pixels = ("along_track", "cross_track")
+    >>> region = xr.Dataset({
+    ...     "reflectance": (pixels, rng.normal(0.3, 0.01, (20, 30))),
+    ...     "reflectance_u_random": (pixels, np.full((20, 30), 0.01)),
+    ...     "reflectance_u_systematic": (pixels, np.full((20, 30), 0.006))})
+    >>> mean = mean_uncertainty(region)
+    >>> print(int(mean.n), f"{float(mean.u_random):.4f} {float(mean.u_systematic):.4f}")
+    600 0.0004 0.0060
+    """
+    mean_dims = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
+    names = ("reflectance", *UNCERTAINTIES)
+    problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
+    for name in (name for name in names if name not in region.variables):
+        problems.add(
+            f"{name!r} is missing",
+            mend="add it by .paint.reflectance(uncertainty=True)",
+            code="variable-missing",
+        )
+    for dim in mean_dims:
+        problems.add_if(
+            dim not in region.dims,
+            f"the region has no dim {dim!r}",
+            expected=f"some of {', '.join(map(str, region.dims))}",
+            code="dim-missing",
+        )
+    problems.raise_if_any()
+    other_dims = [dim for dim in region["reflectance"].dims if dim not in mean_dims]
+    cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
+    shape = cubes[0].shape[: len(other_dims)]
+    value, random, systematic = (cube.reshape(-1, *cube.shape[len(other_dims) :]) for cube in cubes)
+    is_valid, pixels = np.isfinite(value), tuple(range(1, value.ndim))
+    n = is_valid.sum(axis=pixels)
+    divisor = np.where(n > 0, n, np.nan)
+    mean, mean_square, mean_systematic = (
+        np.where(is_valid, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
+    )
+    errors = _errors_of(region, mean_dims, cubes)
+    # NaN without a known component; arithmetic of xarray may drop the attribute, then all values are zero
+    if region[names[2]].attrs.get("components") == NONE_KNOWN or not np.nan_to_num(systematic).any():
+        mean_systematic = np.full_like(mean_systematic, np.nan)
+    n_effective = np.array([effective_number(plane) for plane in value])
+    mean_random = np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan))
+    if errors is not None:
+        mean_random, mean_systematic = np.where(n > 0, errors.u_random, np.nan), errors.u_systematic
+    estimates = {
+        "mean": (mean, "Mean reflectance"),
+        "n": (n, "Pixels"),
+        "n_eff": (n_effective, "Independent pixels"),
+        "u_random": (mean_random, "Random uncertainty of the mean"),
+        "u_systematic": (mean_systematic, "Systematic uncertainty of the mean"),
+    }
+    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)}
+    result = xr.Dataset(
+        {
+            k: (other_dims, v.reshape(shape), {"units": "1", "long_name": text})
+            for k, (v, text) in estimates.items()
+        },
+        coords,
+    )
+    if errors is not None:
+        result["u_random"].attrs["components"], result["u_systematic"].attrs["components"] = errors.components
+        return result.assign(
+            {
+                name: array.isel({SIGNATURE: 0}, drop=True) if SIGNATURE in array.dims else array
+                for name, array in error_variables([errors]).items()
+            }
+        )
+    for name, source in zip(("u_random", "u_systematic"), names[1:], strict=True):
+        if "components" in region[source].attrs:
+            result[name].attrs["components"] = region[source].attrs["components"]
+    return result
+
+
+def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
+    # Return the errors of the mean by source; None where they cannot be separated.
+    if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(CUBE):
+        return None
+    if (line := line_errors(region)) is None:
+        return None
+    order = [mean_dims.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
+    value, random = (cube.transpose(0, *(1 + axis for axis in order)) for cube in cubes[:2])
+    along, across = (axis.ravel() for axis in np.indices(value.shape[1:]))
+    sums = RegionSums(line, along, across)
+    for band in range(len(value)):
+        sums.add(band, value[band].ravel(), random[band].ravel())
+    return sums.errors()
+
+
+def effective_number(plane: Floats) -> float:
+    # Return the number of independent values equivalent to the values of a grid; NaN is ignored.
+    is_valid = np.isfinite(plane)
+    n = int(is_valid.sum())
+    if n < 3:
+        return float(n)
+    departure = np.where(is_valid, plane - plane[is_valid].mean(), 0.0)
+    if not departure.any():
+        return float(n)
+    size, axes = [2 * length for length in plane.shape], range(plane.ndim)
+
+    def correlate(values: Floats) -> Floats:
+        power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
+        return np.asarray(np.fft.irfftn(power, size, axes))
+
+    # number and product of pairs by their distance in rings
+    pairs, products = np.rint(correlate(is_valid.astype(np.float64))), correlate(departure)
+    distances = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
+    ring_of_pair = np.zeros(size, np.int64)
+    for axis, distance in enumerate(distances):
+        ring_of_pair = np.maximum(
+            ring_of_pair, distance.reshape([-1 if a == axis else 1 for a in range(plane.ndim)])
+        )
+    count = np.bincount(ring_of_pair.ravel(), pairs.ravel())
+    total = np.bincount(ring_of_pair.ravel(), products.ravel()) / (products.flat[0] / n)
+    # subtracting the mean adds -1/n to every pair
+    correlation = (total + count / n) / np.maximum(count, 1.0)
+    # every pair is counted twice
+    is_correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
+    is_correlated[0] = True
+    reach = int(np.argmin(is_correlated)) if not is_correlated.all() else is_correlated.size
+    excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
+    return float(np.clip(n / (1.0 + excess), 1.0, n))
+
+
+# --- propagate the errors of a line to the mean over a region, and their correlation between ---------------
+
+
+#: Smallest correlation of two bands that is stored [1].
+MIN_CORRELATION = 0.01
+#: Largest distance of two bands whose correlation is stored [band].
+MAX_LAGS = 48
+
+
+class MeanErrors(NamedTuple):
+    # Errors of a mean spectrum.
+    sources: tuple[str, ...]  #: Known sources of `FORMS`
+    #: (source, band) float64: standard uncertainty by source; signed where all bands share the error
+    sizes: Floats
+    u_random: Floats  #: (band,) float64: uncertainty by errors that bands do not share
+    #: (lag, band) float32: correlation of the random error with the band `lag` bands later; NaN beyond the
+    #: last
+    correlation: Array
+
+    @property
+    def components(self) -> tuple[str, str]:
+        # Names of the variables of the random and of the systematic uncertainty.
+        names: list[list[str]] = [[], []]
+        for source, is_shared in zip(self.sources, self.systematic, strict=True):
+            names[int(is_shared)] += COMPONENTS[source]
+        return ", ".join(names[0]) or NONE_KNOWN, ", ".join(names[1]) or NONE_KNOWN
+
+    @property
+    def systematic(self) -> Array:
+        # Whether all bands share the error of a source (source,).
+        return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
+
+    @property
+    def u_systematic(self) -> Floats:
+        # Uncertainty by errors that all bands share (band,); NaN without known errors.
+        if not self.systematic.any():
+            return np.full(self.sizes.shape[1], np.nan)
+        return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
+
+
+def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
+    # Return the errors of several means of the same bands as library variables; {} without errors.
+    available = [mean for mean in errors if mean is not None]
+    if not available:
+        return {}
+    sources = [name for name in FORMS if any(name in mean.sources for mean in available)]
+    bands = available[0].sizes.shape[1]
+    sizes = np.full((len(errors), len(sources), bands), np.nan)
+    lags = np.zeros((len(errors), max(len(mean.correlation) for mean in available), bands), np.float32)
+    for number, mean in enumerate(errors):
+        if mean is None:
+            lags[number] = np.nan
+            continue
+        sizes[number] = 0.0
+        sizes[number, [sources.index(name) for name in mean.sources]] = mean.sizes
+        lags[number, : len(mean.correlation)] = mean.correlation
+    values = {
+        "error_source": np.array(sources, object),
+        "error_form": np.array([str(FORMS[name]) for name in sources], object),
+        "reflectance_errors": sizes.astype(np.float32),
+        "error_correlation": lags,
+        "lag": np.arange(lags.shape[1]),
+    }
+    specs = {name: LIBRARY_VARIABLES[name] for name in values}
+    variables = {
+        name: xr.DataArray(values[name], dims=spec.dims, attrs=spec.attrs) for name, spec in specs.items()
+    }
+    variables["error_correlation"].attrs["bands"] = bands
+    return variables
+
+
+class RegionSums:
+    # Sums over a region's pixels, from which the errors of its mean follow.
+    def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
+        # Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns.
+        self._line = line
+        self._rows, self._row_of_pixel = np.unique(along, return_inverse=True)
+        self._columns, self._column_of_pixel = np.unique(across, return_inverse=True)
+        bands, darks = line.dark.shape[0], line.dark_weights.shape[1]
+        shape = (bands, self._columns.size)
+        self._counts_of_pixels, self._variance_sums, self._value_sums = np.zeros((3, *shape))
+        self._per_count_sums = np.zeros((darks, *shape))
+        self._pedestal_sums = np.zeros(bands)
+        self._sample_of_line: Array = np.zeros((2, 0), np.int64)
+        if line.light is not None and line.light.covariance.any():
+            neighbours = np.stack([line.light.before[self._rows], line.light.after[self._rows]])
+            self._sample_of_line = np.unique(neighbours, return_inverse=True)[1].reshape(neighbours.shape)
+        self._light_sums = np.zeros((int(self._sample_of_line.max(initial=-1)) + 1, bands))
+
+    def add(self, band: int, reflectance: Array, u_random: Array) -> None:
+        # Add a band of all pixels (pixel,): measured reflectance, and its noise.
+        line, column = self._line, self._column_of_pixel
+        is_valid = np.isfinite(reflectance) & np.isfinite(u_random)
+        value = np.where(is_valid, reflectance, 0.0).astype(np.float64)
+        variance = np.where(is_valid, u_random, 0.0).astype(np.float64) ** 2
+        per_electron, noise_floor = (
+            table[band, self._columns][column] for table in (line.per_electron, line.noise_floor)
+        )
+        # variance = m^2 (value / (m k) + floor), solved for m, reflectance per count, without cancellation
+        shot = np.maximum(value, 0.0) * per_electron
+        root = shot + np.sqrt(shot**2 + 4.0 * noise_floor * variance)
+        per_count = np.divide(2.0 * variance, root, out=np.zeros_like(root), where=root > 0)
+
+        def of_columns(values: Floats) -> Floats:
+            return np.asarray(np.bincount(column, values, self._columns.size), np.float64)
+
+        self._counts_of_pixels[band] = of_columns(is_valid.astype(np.float64))
+        self._variance_sums[band] = of_columns(variance)
+        self._value_sums[band] = of_columns(value)
+        for dark, share in enumerate(line.dark_weights[self._rows].T):
+            self._per_count_sums[dark, band] = of_columns(per_count * share[self._row_of_pixel])
+        if line.pedestal_variance:
+            self._pedestal_sums[band] = (np.bincount(self._row_of_pixel, per_count) ** 2).sum()
+        if len(self._light_sums) and line.light is not None:
+            sums = np.bincount(self._row_of_pixel, value, self._rows.size)
+            weight = line.light.weight[self._rows]
+            for sample_numbers, share in zip(self._sample_of_line, (1.0 - weight, weight), strict=True):
+                np.add.at(self._light_sums[:, band], sample_numbers, share * sums)
+
+    def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
+        # Return the errors of the mean, interpolated to nominal wavelengths and smoothed like its pixels.
+        #
+        # ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
+        line, columns = self._line, self._columns
+        bands = len(self._counts_of_pixels)
+        # The matrix from flattened spectra of columns (band, column) to nominal wavelengths (band,).
+        flat_index = np.arange(bands * columns.size).reshape(bands, columns.size)
+        band = np.broadcast_to(np.arange(bands)[:, None], flat_index.shape)
+        if axis is None:
+            averaging = sparse.csr_array(
+                (np.ones(flat_index.size), (band.ravel(), flat_index.ravel())), (bands, flat_index.size)
+            )
+        else:
+            weights = np.nan_to_num(axis.weights[:, columns].astype(np.float64))
+            tap_bands = axis.first[:, columns, None] + np.arange(weights.shape[2])
+            source = flat_index[tap_bands, np.arange(columns.size)[None, :, None]]
+            rows = np.broadcast_to(band[..., None], weights.shape)
+            averaging = sparse.csr_array(
+                (weights.ravel(), (rows.ravel(), source.ravel())), (bands, flat_index.size)
+            )
+        count = averaging @ self._counts_of_pixels.ravel()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(count > 0.5, 1.0 / count, np.nan)
+
+        def mean(table: Floats) -> Floats:
+            return np.asarray(averaging @ np.nan_to_num(table).ravel()) * share
+
+        def independent(table: Floats) -> Floats:
+            square = averaging.multiply(np.nan_to_num(table).ravel()) @ averaging.T
+            return np.asarray(square.toarray() * share * share[:, None])
+
+        level, per_count = mean(self._value_sums), self._per_count_sums.sum(axis=0)
+        dark = line.dark[:, columns]
+        covariances = {"noise": independent(self._variance_sums)}
+        dark_variance = (self._per_count_sums**2).sum(axis=0) * dark**2
+        if line.is_integer:
+            # rounding, in sums over the lines of a column
+            read = line.read_noise[:, columns] ** 2
+            with np.errstate(invalid="ignore", divide="ignore"):
+                counts = np.nan_to_num(np.maximum(self._value_sums, 0.0) / per_count)
+            with_shot = rounding_variance(read + counts * line.per_electron[:, columns])
+            dark_variance += per_count**2 * (rounding_variance(read) * (dark > 0) + with_shot)
+        if dark_variance.any():
+            covariances["mean dark"] = independent(dark_variance)
+        if line.gain_of_elements.any():
+            covariances["gain of elements"] = independent(
+                (self._value_sums * line.gain_of_elements[:, columns]) ** 2
+            )
+        if len(self._light_sums) and line.light is not None:
+            with np.errstate(
+                invalid="ignore", divide="ignore"
+            ):  # part of the mean by every irradiance sample
+                samples = np.nan_to_num(self._light_sums / self._value_sums.sum(axis=1) * level)
+            covariances["irradiance noise"] = (samples.T @ samples) * line.light.covariance
+        shared_errors = {
+            name: mean(self._value_sums * relative[:, columns]) for name, relative in line.common.items()
+        }
+        if line.pedestal_variance:
+            shared_errors["pedestal"] = np.sqrt(
+                self._pedestal_sums * line.pedestal_variance
+            ) / self._counts_of_pixels.sum(axis=1)
+        if line.dark_offset.any():
+            shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
+        if line.wavelength_u.any() and line.light is not None:
+            shared_errors["wavelength"] = _change_by_wavelength(line, level)
+        if line.stray_light is not None:
+            counts = np.divide(self._value_sums, per_count, out=np.zeros_like(per_count), where=per_count > 0)
+            shared_errors["stray light"] = mean(per_count * (line.stray_light @ counts))
+        if smoothing is not None:
+            smoothing_matrix = np.nan_to_num(smoothing)
+            covariances = {
+                name: smoothing_matrix @ np.nan_to_num(square) @ smoothing_matrix.T
+                for name, square in covariances.items()
+            }
+            shared_errors = {
+                name: smoothing_matrix @ np.nan_to_num(size) for name, size in shared_errors.items()
+            }
+        sizes = {name: np.sqrt(np.diagonal(square)) for name, square in covariances.items()} | shared_errors
+        names = tuple(name for name in FORMS if name in sizes)
+        total = np.sum(list(covariances.values()), axis=0)
+        return MeanErrors(names, np.array([sizes[name] for name in names]), *_sd_and_correlation(total))
+
+
+def _sd_and_correlation(covariance: Floats) -> tuple[Floats, Array]:
+    # Return standard deviations (band,) and correlations (lag, band) up to the last significant lag.
+    sd = np.sqrt(np.diagonal(covariance))
+    bands = sd.size
+    lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for lag in range(len(lags)):
+            lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (sd[: bands - lag] * sd[lag:])
+    significant = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
+    return sd, lags[: significant.max(initial=0) + 1]
+
+
+def _change_by_wavelength(line: LineErrors, level: Floats) -> Floats:
+    # Return the change of a mean by an error of the wavelength scale (band,).
+    assert line.light is not None
+    light = line.light.level
+    steps = band_steps(line.wavelength)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radiance = level * light
+        rise = np.append(np.diff(radiance), np.nan) / light
+        fall = np.insert(np.diff(radiance), 0, np.nan) / light
+    to_above = np.where(np.isfinite(fall), steps[:, 0], steps[:, 1])
+    to_below = np.where(np.isfinite(rise), steps[:, 2], steps[:, 3])
+    return np.asarray((np.nan_to_num(rise) * to_above + np.nan_to_num(fall) * to_below) * line.wavelength_u)

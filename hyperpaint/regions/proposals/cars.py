@@ -27,8 +27,16 @@ from scipy.ndimage import (
 )
 from scipy.spatial import ConvexHull
 
-from hyperpaint.base.arrays import Array, Bools, Floats
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    Array,
+    Bools,
+    Floats,
+    Quality,
+)
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel

@@ -12,11 +12,9 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import PaintError, Problems, SchemaError
-from hyperpaint.base.facts import documented, is_number
-from hyperpaint.base.schema import Quality, flag_names
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, is_number, takes_quantities
+from hyperpaint.base.schema import Array, Bools, Floats, Progress, Quality, flag_names
 from hyperpaint.geometry import locate
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.light.daylight_colours import colour_name

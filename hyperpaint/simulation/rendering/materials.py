@@ -21,9 +21,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import check_fields, declared, documented, fact, one_of
+from hyperpaint.base.schema import Floats
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 

@@ -26,10 +26,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values, takes_quantities
+from hyperpaint.base.schema import Floats
 from hyperpaint.simulation.settings import (
     DEFAULT_START,
     MAX_SEED,

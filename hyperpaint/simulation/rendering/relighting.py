@@ -35,8 +35,8 @@ import xarray as xr
 from numcodecs.blosc import SHUFFLE, Blosc
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, warn_user
+from hyperpaint.base.facts import convert, takes_quantities
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.mirrored_light import INCLUDED, flake_exponents, mirror_reflection, shows_flakes
 from hyperpaint.base.old_names import with_new_names
@@ -54,11 +54,15 @@ from hyperpaint.base.schema import (
     SLOT,
     SUN,
     VARIABLES,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
     dtype_of,
     label,
     require,
 )
-from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.sky_functions import function_shapes
 from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds, preset_atmosphere
 from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian

@@ -49,9 +49,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import one_of
+from hyperpaint.base.schema import Floats
 
 from .materials import (
     Coat,

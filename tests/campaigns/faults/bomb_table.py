@@ -438,8 +438,7 @@ def zipped(**more: int) -> Callable[[Path], Path]:
 
 def listed_in_the_manifest(store: Path) -> Path:
     # Let the manifest of a store of ours fit the metadata of its gain, as somebody would who knows how
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.manifest import Manifest, document_checksum
+    from hyperpaint.io.store.manifest import Location, Manifest, document_checksum
 
     location = Location.of(store)
     manifest = Manifest.read(location)

@@ -182,8 +182,8 @@ def warm_up() -> None:
     # Import what the readers import, so that a child's time and memory are those of the bomb
     for module in (
         *(f"hyperpaint.io.{name}" for name in ("collect.collect_toml", "envi.envi_cubes", "library")),
-        *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.verification")),
-        *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_opening", "spectrometers.asd")),
+        *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.reader")),
+        *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_records", "spectrometers.asd")),
         *(
             "hyperpaint.io.spectrometers.irradiance",
             "hyperpaint.cli.info_command",
@@ -199,7 +199,7 @@ def warm_up() -> None:
         ),
     ):
         importlib.import_module(module)
-    from hyperpaint.base.units import conversion_factor
+    from hyperpaint.base.facts import conversion_factor
 
     conversion_factor("W m-2 nm-1", "W m-2 um-1")
 

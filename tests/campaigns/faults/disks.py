@@ -25,7 +25,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import chunks, is_complete, open_store
+from hyperpaint.io.store import computing, is_complete, open_store
 
 from .interruptions import DONE, GROUP, REFUSED, _slab as slab_of, chunks_of, end_of, scene_line, start
 from .outcome import Outcome, each, numbers_of
@@ -129,13 +129,13 @@ def store(path: Path, log: Path, at: int = -1, share: float = 1.0, total: int = 
 
 def process_slowly(collect: Path, out: Path, delay: float = 0.0) -> None:
     # Process a collect, slowly enough for something to happen meanwhile
-    plain = chunks.write_chunk
+    plain = computing.write_chunk
 
     def slow(folder: Path, *rest: Any) -> None:
         time.sleep(delay)
         plain(folder, *rest)
 
-    chunks.write_chunk = slow
+    computing.write_chunk = slow
     hp.process(collect, out)
 
 

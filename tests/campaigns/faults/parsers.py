@@ -139,7 +139,7 @@ def _mesh(path: Path) -> None:
 
 
 def _navigation(**options: Any) -> Callable[[Path], object]:
-    return reader("io.navigation.navigation_opening:open_navigation", options)
+    return reader("io.navigation.navigation_records:open_navigation", options)
 
 
 _BINARY, _TEXT = ("asd_binary/*.asd",), ("asd_ascii/*", "asd_binary/*.txt")
@@ -240,9 +240,9 @@ PARSERS: Mapping[str, Parser] = {
         "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),
         "regions": (reader("regions:read_regions"), _FORMAT, ("regions.geojson",)),
         "pairs": (reader(f"{_SPECTRA}.reference_files:read_pairs"), _FORMAT, ("pairs.csv",)),
-        "geotiff": (reader("io.maps.geotiff:read_geotiff_header"), _FORMAT, ("heights.tif", "tiled.tif")),
+        "geotiff": (reader("io.maps.map_grids:read_geotiff_header"), _FORMAT, ("heights.tif", "tiled.tif")),
         "heights": (
-            reader("io.maps.rasters:read_heights"),
+            reader("io.maps.map_grids:read_heights"),
             _FORMAT,
             ("heights.tif", "tiled.tif", "heights.asc"),
         ),

@@ -31,8 +31,7 @@ from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import store_state
+from hyperpaint.io.store.manifest import Location, store_state
 
 from .outcome import SCRATCH, Outcome
 

@@ -17,7 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
 from hyperpaint.io.collect.collect_toml import join_lines, read_collect
 from hyperpaint.io.envi.envi_cubes import EnviArray, parse_header
-from hyperpaint.io.flightline.timing import Timing
+from hyperpaint.io.flightline.flightline_opening import Timing
 from hyperpaint.io.spectrometers.asd import open_asd
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.simulation.collect import simulate_collect

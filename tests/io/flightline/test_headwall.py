@@ -10,8 +10,8 @@ from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
-from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, read_table
-from hyperpaint.io.flightline.dark import DARK_NONE, open_dark
+from hyperpaint.io.files.reading import MAX_TABLE_ROWS, read_table
+from hyperpaint.io.flightline.flightline_opening import DARK_NONE, Timing, open_dark
 from hyperpaint.io.flightline.headwall import (
     FrameIndex,
     exposure_seconds,
@@ -20,7 +20,6 @@ from hyperpaint.io.flightline.headwall import (
     read_settings,
     sum_dark,
 )
-from hyperpaint.io.flightline.timing import Timing
 
 
 def write(path: Path, text: str, newline: str = "\n") -> Path:

@@ -484,7 +484,7 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     path = hp.io.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif")
     before = path.read_bytes()
-    monkeypatch.setattr("hyperpaint.io.maps.geotiff._write", failed)
+    monkeypatch.setattr("hyperpaint.io.maps.map_grids._write", failed)
     with pytest.raises(StoreError, match="file-unwritable"):
         hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
     monkeypatch.setattr("tempfile.TemporaryFile", full)

@@ -17,8 +17,7 @@ import pytest
 from support.refusals import expect_equal, expect_errors, refusal
 
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.io.maps.geotiff import read_geotiff_header
-from hyperpaint.io.maps.rasters import read_heights
+from hyperpaint.io.maps.map_grids import read_geotiff_header, read_heights
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio (extra 'geo') reads rasters")
 HEIGHTS = np.array([[1.0, 2.0, 3.0], [4.0, -9999.0, 6.0]], np.float32)
@@ -199,7 +198,7 @@ def sparse(tmp_path_factory: pytest.TempPathFactory) -> Path:
 _READ_LARGE = """
 import sys
 from rasterio.warp import transform
-from hyperpaint.io.maps.rasters import read_heights
+from hyperpaint.io.maps.map_grids import read_heights
 longitude, latitude = transform("EPSG:32617", "EPSG:4326", [500100.0, 500300.0], [3699900.0, 3699800.0])
 heights = read_heights(sys.argv[1], (longitude, latitude, [200.0, 210.0]))
 # ru_maxrss would be that of the process which started this one, where that was larger

@@ -16,7 +16,7 @@ from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.base.units import conversion_factor
+from hyperpaint.base.facts import conversion_factor
 from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.spectrometers import svc
 from hyperpaint.io.spectrometers.reference_files import open_references

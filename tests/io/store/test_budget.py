@@ -24,7 +24,7 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.cli.program import main
-from hyperpaint.io.store import budget, disk
+from hyperpaint.io.store import budget, computing
 from hyperpaint.io.store.budget import (
     HELPER_SPACE,
     THREAD_SPACE,
@@ -39,7 +39,7 @@ from hyperpaint.io.store.budget import (
     thread_count,
     thread_space,
 )
-from hyperpaint.io.store.disk import disk_needed
+from hyperpaint.io.store.computing import disk_needed
 from hyperpaint.workflows import pipeline
 
 MIB = 2**20
@@ -299,7 +299,7 @@ def test_a_full_disk_is_refused_before_anything_is_written(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "far" / "lot.zarr"
-    monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
+    monkeypatch.setattr(computing.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
     expect_error(StoreError, "disk-short", lambda: hp.process(collect, out))
     assert not any(tmp_path.iterdir())
 

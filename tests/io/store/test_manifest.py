@@ -19,19 +19,19 @@ from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import is_complete, list_groups, open_group, stage, verification, writer
-from hyperpaint.io.store.groups import listed_documents
-from hyperpaint.io.store.location import Location
+from hyperpaint.io.store import is_complete, list_groups, open_group, reader, stage, writer
 from hyperpaint.io.store.manifest import (
     INPUTS,
     SETTINGS,
     ArrayEntry,
     GroupEntry,
+    Location,
     Manifest,
     Write,
     content_of,
     entry_of,
 )
+from hyperpaint.io.store.reader import listed_documents
 from hyperpaint.io.store.writer import run_contents, whole_run
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1", "flightlines/raw_2")
@@ -297,14 +297,14 @@ def test_one_group_more_leaves_the_store_whole_at_every_instant(group: str, poin
 
 
 def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    state = verification.store_state
+    state = reader.store_state
 
     def state_and_run(*arguments: Any) -> Any:
         found = state(*arguments)
         run(store, "b", stop=2)
         return found
 
-    monkeypatch.setattr(verification, "store_state", state_and_run)
+    monkeypatch.setattr(reader, "store_state", state_and_run)
     assert "a writer changed the store" in hp.verify(store).problems[0]
 
 

@@ -283,7 +283,7 @@ def test_deep_stores_are_refused_at_once(
 
 
 def test_too_many_nodes(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperpaint.io.store.location.MAX_NODES", 3)
+    monkeypatch.setattr("hyperpaint.io.store.manifest.MAX_NODES", 3)
     with refusal(StoreError, "nodes-too-many", "more than 3 "):
         verify(store)
 

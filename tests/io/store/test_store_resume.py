@@ -22,9 +22,9 @@ import xarray as xr
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import chunks, is_complete, open_store, to_store, verify
-from hyperpaint.io.store.groups import version_of_program
-from hyperpaint.io.store.location import MANIFEST_NODE
+from hyperpaint.io.store import computing, is_complete, open_store, to_store, verify
+from hyperpaint.io.store.manifest import MANIFEST_NODE
+from hyperpaint.io.store.reader import version_of_program
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -327,16 +327,16 @@ def test_resumed_blocks_are_the_values(path: Path) -> None:
 FULL_DISK = """
 import errno, sys
 import hyperpaint as hp
-from hyperpaint.io.store import chunks
+from hyperpaint.io.store import computing
 
-write, calls = chunks.write_chunk, []
+write, calls = computing.write_chunk, []
 def until_full(*args):
     if len(calls) == 12:
         raise OSError(errno.ENOSPC, "No space left on device")
     calls.append(args)
     write(*args)
 
-chunks.write_chunk = until_full
+computing.write_chunk = until_full
 try:
     hp.process(sys.argv[1], sys.argv[2])
 except hp.errors.StoreError:
@@ -358,13 +358,13 @@ def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pyte
     assert len(finished) >= 12
     whole = {name for name in finished if (built / name).stat().st_size > 0}
     written: list[str] = []
-    write = chunks.write_chunk
+    write = computing.write_chunk
 
     def count(folder: Path, key: str, *args: Any) -> None:
         written.append(f"{folder.name}/{key}")
         write(folder, key, *args)
 
-    monkeypatch.setattr(chunks, "write_chunk", count)
+    monkeypatch.setattr(computing, "write_chunk", count)
     hp.process(collect, path)
     assert not whole & set(written)
     assert_whole(path, content(tmp_path / "whole.zarr"))

@@ -17,8 +17,8 @@ import xarray as xr
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
-from hyperpaint.io.store.disk import check_disk, disk_needed
+from hyperpaint.io.store import budget, computing, is_complete, to_store, verify, writer
+from hyperpaint.io.store.computing import check_disk, disk_needed
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -31,7 +31,7 @@ def line(lines: int = 128, chunk: int = 32, name: str = "counts") -> xr.Dataset:
 
 
 def free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, size))
+    monkeypatch.setattr(computing.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, size))
 
 
 # --- disk --------------------------------------------------------------------------------------------------
@@ -87,13 +87,15 @@ def test_a_small_group_asks_for_little_but_for_every_chunk(tmp_path: Path) -> No
 def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(disk.shutil, "disk_usage", mock.Mock(side_effect=OSError(errno.ENOSYS, "unknown")))
+    monkeypatch.setattr(
+        computing.shutil, "disk_usage", mock.Mock(side_effect=OSError(errno.ENOSYS, "unknown"))
+    )
     check_disk(tmp_path / "lot.zarr", 10**15)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_disk_that_fills_up_says_what_was_needed(number: int, path: Path, tmp_path: Path) -> None:
-    plain, write = chunks.replace_file, partial(to_store, line(), path, GROUP, source_token="a")
+    plain, write = computing.replace_file, partial(to_store, line(), path, GROUP, source_token="a")
 
     def full(file: Path, parts: Any, **options: Any) -> None:
         if "c/2/" in str(file):
@@ -101,7 +103,7 @@ def test_a_disk_that_fills_up_says_what_was_needed(number: int, path: Path, tmp_
         plain(file, parts, **options)
 
     with dask.config.set(scheduler="synchronous"):
-        with mock.patch.object(chunks, "replace_file", full):
+        with mock.patch.object(computing, "replace_file", full):
             expect_error(StoreError, "disk-full", write)
         assert not is_complete(path, GROUP)
         assert verify(write()).ok
@@ -123,14 +125,14 @@ def test_a_disk_that_fills_up_says_what_was_needed(number: int, path: Path, tmp_
 )
 def test_errors_of_the_system_are_told(error: Exception, told: str, tmp_path: Path) -> None:
     location = writer.Location.of("lot.zarr")
-    with pytest.raises(StoreError, match=told), disk.errors_of_the_system(location, {GROUP: line()}):
+    with pytest.raises(StoreError, match=told), computing.errors_of_the_system(location, {GROUP: line()}):
         raise error
 
 
 def test_other_errors_stay_as_they_are() -> None:
     location = writer.Location.of("lot.zarr")
     for error in (RuntimeError("other"), ValueError("wrong"), StoreError("ours")):
-        with pytest.raises(type(error), match=f"^{error}$"), disk.errors_of_the_system(location, {}):
+        with pytest.raises(type(error), match=f"^{error}$"), computing.errors_of_the_system(location, {}):
             raise error
 
 
@@ -209,7 +211,7 @@ def test_a_rerun_clears_up_behind_a_writer_that_died_at_its_end(tmp_path: Path) 
 
 def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(tmp_path: Path) -> None:
     write = partial(to_store, line(), tmp_path / "lot.zarr", GROUP, source_token="a")
-    with mock.patch.object(disk, "sync", side_effect=OSError(errno.EIO, "broken disk")):
+    with mock.patch.object(computing, "sync", side_effect=OSError(errno.EIO, "broken disk")):
         expect_error(StoreError, "broken disk", write)
     assert not is_complete(tmp_path / "lot.zarr", GROUP)
     assert verify(write()).ok

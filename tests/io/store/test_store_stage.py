@@ -19,7 +19,7 @@ from support.refusals import expect_error, expect_refusals
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, open_store, stage, to_store, verify
-from hyperpaint.io.store.disk import exchange
+from hyperpaint.io.store.computing import exchange
 from hyperpaint.io.store.stage import Staging, staging
 
 

@@ -22,7 +22,7 @@ from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
-from hyperpaint.io.store.groups import reads_from
+from hyperpaint.io.store.reader import reads_from
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -268,7 +268,7 @@ def test_refuses_to_overwrite_what_it_reads(path: Path, tmp_path: Path) -> None:
 
 
 def test_finds_the_source_through_a_rewritten_graph(path: Path, tmp_path: Path) -> None:
-    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.manifest import Location
 
     to_store(flightline(), path, GROUP)
     (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]].reset_coords(drop=True) + 1)
