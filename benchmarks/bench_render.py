@@ -34,7 +34,7 @@ def platform(lines, columns):
 @functools.cache
 def prepared(samples):
     from hyperpaint.simulation.rendering.relighting import prepare_scene
-    from hyperpaint.simulation.rendering.scene_record import TraceSettings
+    from hyperpaint.simulation.rendering.scene import TraceSettings
 
     return prepare_scene(scene(), TraceSettings([SUN], samples=samples))
 
@@ -42,10 +42,10 @@ def prepared(samples):
 @functools.cache
 def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
+    from hyperpaint.simulation.atmosphere import preset_atmosphere
     from hyperpaint.simulation.camera import BandResponses, BandSet, smile as shifts
-    from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
     from hyperpaint.simulation.rendering.relighting import factor_spectra, make_lighting
-    from hyperpaint.simulation.rendering.scene_record import SceneRecord
+    from hyperpaint.simulation.rendering.scene import SceneRecord
 
     bands = BandSet.nano_hyperspec()
     bands = BandSet(bands.wavelength, bands.fwhm, bands.shape, shifts(BLOCK[1], smile) if smile else None)

@@ -332,7 +332,7 @@ def _described() -> Any:
     from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
 
     from benchmarks.bench_render import scene
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.atmosphere import Atmosphere
 
     noon = replace(Atmosphere.clear(30.0, 90.0, haze=None), molecular=None, aureole=None)
     height, ground = 40.0, 12.0

@@ -17,8 +17,7 @@ import xarray as xr
 from hyperpaint.alignment.comparison import Window
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Progress, Quality
-from hyperpaint.geometry.georeference.cameras import PinholeCamera
-from hyperpaint.geometry.georeference.poses import Interpolation
+from hyperpaint.geometry.georeference.locating import Interpolation, PinholeCamera
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
@@ -26,8 +25,7 @@ from hyperpaint.pictures.exploring import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
-from hyperpaint.simulation.atmosphere import BrokenClouds
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds
 from hyperpaint.surroundings.model import SceneModel
 
 METHOD_GROUPS: dict[str, dict[str, str]]

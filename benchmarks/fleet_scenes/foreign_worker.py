@@ -145,7 +145,7 @@ def render(mitsuba: Any, job: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return images of sun and sky (row, column, band), and what a white level surface shows times pi."""
     from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
 
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.atmosphere import Atmosphere
     from hyperpaint.simulation.rendering.scene import plane
 
     light, bands = job["light"], job["bands"]

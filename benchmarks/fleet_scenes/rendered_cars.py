@@ -69,10 +69,9 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.atmosphere import BrokenClouds
+    from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds
     from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
 
     light = conditions_of(seed)
@@ -139,7 +138,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
     from hyperpaint.simulation.rendering.relighting import factor_spectra, populations_of
-    from hyperpaint.simulation.rendering.scene_record import SceneRecord
+    from hyperpaint.simulation.rendering.scene import SceneRecord
     from hyperpaint.simulation.transport.mixing import member_rows
 
     record, settings = SceneRecord.from_attrs(traced.attrs)

@@ -25,7 +25,7 @@ from hyperpaint.io.store.raw_references import (
     virtual_groups,
 )
 from hyperpaint.io.store.reader import is_zarr, place_of
-from hyperpaint.regions.geojson import VECTOR_FILES
+from hyperpaint.regions.polygons import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
     counted,

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 if TYPE_CHECKING:
-    from hyperpaint.workflows.products import Outcome
+    from hyperpaint.workflows.pipeline import Outcome
 
 _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}

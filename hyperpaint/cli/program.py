@@ -1,6 +1,6 @@
 """The command line: ``hyperpaint`` or ``python -m hyperpaint``.
 
-Thin: options in, one function of the package, text out. A group of commands is a file, loaded when needed.
+Thin: options in, one function of the package, text out. The files of commands are loaded when needed.
 Heavy modules are imported inside a command.
 
 Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C, 143 by
@@ -60,16 +60,6 @@ GROUPS = {
     },
 }
 
-#: Files of the groups.
-_FILES = {
-    "Start": "flight",
-    "Flight": "flight",
-    "Paints": "paints",
-    "Scenes": "look",
-    "Look": "look",
-    "Care": "flight",
-}
-
 #: Commands that resume an interrupted run.
 RESUMED = ("process", "render", "run")
 
@@ -78,7 +68,7 @@ PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures",
 
 
 class Program(click.Group):
-    # Commands in groups, each group in a file that is loaded when one of its commands is called.
+    # Commands in groups; their file is loaded when one of them is called.
     #
     # Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
     # after the name of the command.
@@ -87,15 +77,12 @@ class Program(click.Group):
         return [name for commands in GROUPS.values() for name in commands]
 
     def get_command(self, _ctx: click.Context, cmd_name: str) -> click.Command | None:
-        # Return a command, imported from the file of its group.
-        for group, commands in GROUPS.items():
-            if cmd_name in commands:
-                name = "info_command" if cmd_name == "info" else f"{_FILES[group]}_commands"
-                values = vars(import_module(f".{name}", __package__)).values()
-                return next(
-                    value for value in values if isinstance(value, Command) and value.name == cmd_name
-                )
-        return None
+        # Return a command, imported from its file; None for an unknown name.
+        if cmd_name not in self.list_commands(_ctx):
+            return None
+        file = "info_command" if cmd_name == "info" else "commands"
+        values = vars(import_module(f".{file}", __package__)).values()
+        return next(value for value in values if isinstance(value, Command) and value.name == cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -40,14 +40,15 @@ from hyperpaint.base.schema import (
     Floats32,
     require,
 )
-from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
-from hyperpaint.geometry.georeference.poses import (
+from hyperpaint.geometry.georeference.locating import (
     ANGLES,
     LOCATION_UNITS,
     NAVIGATION_TIME,
     POSE,
+    PinholeCamera,
     canonical_values,
     convention_of_line,
+    look_angles,
     matrices,
     poses_at,
     quaternions,

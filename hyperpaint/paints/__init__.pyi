@@ -2,16 +2,16 @@ from .band_ratios import (
     band_ratio as band_ratio,
     covariance as covariance,
 )
-from .colours import paint_colours as paint_colours
 from .detection import (
     detect as detect,
     detected_regions as detected_regions,
 )
-from .mixing import (
+from .paint_libraries import (
     mix_paints as mix_paints,
+    paint_colours as paint_colours,
     sample_paints as sample_paints,
+    search_library as search_library,
     shade_paints as shade_paints,
+    starter_library as starter_library,
 )
-from .paint_search import search_library as search_library
 from .signatures import extract_signatures as extract_signatures
-from .starter_paints import starter_library as starter_library

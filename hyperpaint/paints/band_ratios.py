@@ -1,7 +1,5 @@
 """Covariance of the bands of a signature, and ratios of two bands."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Reflectance and a paint library come in, detections go out. For pictures, the accessor and the command line.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,15 +34,13 @@ from hyperpaint.base.schema import (
     Ints,
     Quality,
 )
-from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
+from hyperpaint.paints.paint_libraries import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
-from hyperpaint.paints.starter_paints import starter_library
 from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.geojson import regions_from
-from hyperpaint.surroundings.corrections import sky_above
-from hyperpaint.surroundings.light_split import has_split, split_of
+from hyperpaint.regions.polygons import regions_from
+from hyperpaint.surroundings.corrections import has_split, sky_above, split_of
 
 # --- scores of spectra for paints, and distances from paints: plain arrays, float64 ------------------------
 

@@ -4,8 +4,6 @@
 the widget.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib
@@ -34,20 +32,30 @@ from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
-from hyperpaint.paints.paint_search import search_library
+from hyperpaint.paints.paint_libraries import search_library, starter_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
-from hyperpaint.paints.starter_paints import starter_library
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.pixel_reading import coarse, pixels
 from hyperpaint.radiometry.spectral_axis import at, bands_at
 from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES, mean_uncertainty
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
-from hyperpaint.regions.pixels_in_regions import contains, renumbered
+from hyperpaint.regions.polygons import contains, renumbered
 
 from .figures import map_dims, orientation_of
-from .plot import STRETCH, flag_label, linear_srgb, percent, reduced_lines, stored_picture, visible_bands
-from .plot_spectra import good_bands, quantity_label, shown_quantity, with_shown_cube
+from .plot import (
+    STRETCH,
+    flag_label,
+    good_bands,
+    linear_srgb,
+    percent,
+    quantity_label,
+    reduced_lines,
+    shown_quantity,
+    stored_picture,
+    visible_bands,
+    with_shown_cube,
+)
 
 # Recipe of a picture: empty for true colour, else the wavelengths of one or three bands [nm]
 TRUE_COLOUR: tuple[float, ...] = ()

@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.light.daylight_colours import srgb
-from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.radiometry.panels import CLOSURE, PANEL_STATES
@@ -45,8 +45,17 @@ from .figures import (
     save_figure,
     show_picture,
 )
-from .plot import draw_outlines, flag_label, percent, rgb
-from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
+from .plot import (
+    draw_band,
+    draw_curve,
+    draw_outlines,
+    find_usable,
+    flag_label,
+    good_bands,
+    percent,
+    rgb,
+    styles_of,
+)
 
 if TYPE_CHECKING:
     from hyperpaint.validation import Validation

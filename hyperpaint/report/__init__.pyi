@@ -1,2 +1,1 @@
-from .static_site import write_site as write_site
-from .store_report import write_report as write_report
+from .store_report import write_report as write_report, write_site as write_site

@@ -17,7 +17,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.light.daylight_colours import srgb_hex
-from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
 
 if TYPE_CHECKING:

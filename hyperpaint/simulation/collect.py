@@ -10,8 +10,6 @@ flight lines, minus a margin. Lines are processed once and in order, so that mem
 flight.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil
@@ -43,7 +41,7 @@ from hyperpaint.base.schema import (
 
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
-from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, sky_irradiance
+from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, RenderedFlight, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     CAMERA_SOFTWARE,
@@ -871,14 +869,12 @@ def simulate_collect(
     return path
 
 
-def flight_of(settings: SimulationSettings) -> Flight:
-    if settings.scene == "plan":
-        return PlanFlight(settings)
-    if settings.scene == "checkerboard":
-        return CheckerboardFlight(settings)
-    from .rendered_flight import RenderedFlight  # imports the tracer
+#: Flights by scene; all other scenes are rendered.
+_FLIGHTS: dict[str, type[Flight]] = {"plan": PlanFlight, "checkerboard": CheckerboardFlight}
 
-    return RenderedFlight(settings)
+
+def flight_of(settings: SimulationSettings) -> Flight:
+    return _FLIGHTS.get(settings.scene, RenderedFlight)(settings)
 
 
 def _prepare(root: Path, overwrite: bool) -> Path:

@@ -3,8 +3,6 @@
 The clock of a flight follows the sun of its scene; the ephemeris is independent of `hyperpaint.light`.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence

@@ -11,8 +11,6 @@ calibration formula. Columns differ only in smile and element factor, so that it
 shifts and interpolated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property

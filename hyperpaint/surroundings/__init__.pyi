@@ -3,6 +3,5 @@ from .corrections import (
     correct_light as correct_light,
     remove_mirrored_sky as remove_mirrored_sky,
 )
-from .flags import flag as flag
 from .model import SceneModel as SceneModel
-from .surveying import survey as survey
+from .surveying import flag as flag, survey as survey

@@ -12,6 +12,16 @@ import scipy.sparse
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
 from hyperpaint.base.schema import Array, Bools, Floats, Floats32, Ints
+from hyperpaint.kernels import arguments, segmentation as kernels
+from hyperpaint.kernels.segmentation import (
+    boundary_distance,
+    count_pixels,
+    nearest_sources,
+    pick_steps,
+    sample_places,
+    sort_steps,
+)
+from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
 from .detection_rules import GLINT, LOBES, MIRROR, MIXTURES, SEGMENTS
 from .model import CELL, GLINTED, LIT, SHADED
@@ -42,8 +52,6 @@ def divide(channels: Floats32) -> Segments:
     # The steps between neighbouring pixels are visited in ascending order. A step joins its two segments
     # unless it is larger than the steps inside them allow (Felzenszwalb & Huttenlocher, Int. J. Comput. Vis.
     # 59, 2004). The result does not depend on chunks.
-    from hyperpaint.kernels import segmentation as kernels
-
     lines, columns, _ = channels.shape
     has_data = np.empty((lines, columns), np.bool_)
     steps = scratch_array((lines, columns, 2), np.float32)  # to the right, and to the next line
@@ -91,8 +99,6 @@ _GROUPS = 8
 def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
     # Yield flat indices and sizes of the finite steps (line, column, direction), ascending, in groups.
     # `counts` is the histogram of the sizes, in bins of the upper bits of float32.
-    from hyperpaint.kernels.segmentation import pick_steps, sort_steps
-
     total = np.concatenate([[0], np.cumsum(counts)])
     # last bin of every group; steps that are not finite lie beyond the last group
     edges = np.unique(
@@ -116,8 +122,6 @@ def sample_pixels(number: npt.NDArray[np.int32], inside: Bools, count: int) -> l
     # Return flat indices of at most `max_sample_px` pixels of every segment, evenly spread in line order.
     #
     # Pixels of the mask ``inside`` are sampled; all pixels of segments without such a pixel.
-    from hyperpaint.kernels.segmentation import count_pixels, sample_places
-
     counts = np.zeros((2, count), np.int64)
     count_pixels(number, inside, counts)
     has_inside = counts[1] > 0
@@ -201,8 +205,6 @@ def edge_distance(
     # Takes ``body``, ``surface`` (segment,): body and surface of every segment. Bodies of one surface differ
     # by light and tilt only, so that pixels between them are not mixed; small or thin segments there still
     # are.
-    from hyperpaint.kernels.segmentation import boundary_distance
-
     to_surface = np.empty(segments.number.shape, np.uint8)
     to_body = np.empty_like(to_surface)
     for labels, distance in ((surface, to_surface), (body, to_body)):
@@ -215,8 +217,6 @@ def edge_distance(
 
 def distance_to(mask: Bools) -> npt.NDArray[np.uint8]:
     # Return the distance of every pixel from a mask (line, column) [pixel], 0 inside; at most 255.
-    from hyperpaint.kernels.segmentation import boundary_distance
-
     distance = np.empty(mask.shape, np.uint8)
     boundary_distance(mask.astype(np.int32), np.ones(mask.shape, bool), 255, distance)
     distance[mask] = 0
@@ -285,9 +285,6 @@ def unmix_spectra(
     # ``noise``: standard deviation relative to ``spectra`` [1], the unit of misfits; ``priors`` (2, part):
     # expected amounts and their standard deviations; ``neighbours`` (n, 2): rows of ``bodies`` that may send
     # light, -1 for none; by default no neighbour sends light.
-    from hyperpaint.kernels import arguments
-    from hyperpaint.kernels.unmixing import PARTS, unmix_lines
-
     # the kernel takes lines of pixels: the spectra are one line
     count = len(spectra)
     amount = np.empty((1, count, PARTS), np.float32)
@@ -310,8 +307,6 @@ def unmix_spectra(
 
 def max_excesses() -> Floats:
     # Return the maximum physical excess of amounts over the expected amounts (part,) [1]; inf for none.
-    from hyperpaint.kernels.unmixing import PARTS
-
     excesses = np.full(PARTS, np.inf)
     excesses[3:5] = MIRROR.max_above, MIRROR.max_sunward
     return excesses
@@ -483,8 +478,6 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
     #
     # Neighbours that are nearest to more pixels of the segment come first. Light of grey neighbours cannot be
     # distinguished from direct light. Takes ``number`` (line, column): segment of every pixel.
-    from hyperpaint.kernels.segmentation import nearest_sources
-
     level = spectrum.mean(axis=1)
     sends = (
         (level > MIXTURES.min_sender_level)

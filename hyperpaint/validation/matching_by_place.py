@@ -1,7 +1,5 @@
 """Matches of references to paints by their positions, never by their spectra."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

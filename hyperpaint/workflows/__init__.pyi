@@ -3,12 +3,8 @@ from . import (
     demonstration as demonstration,
     field_day as field_day,
     field_folder as field_folder,
-    laboratory as laboratory,
     library_files as library_files,
     maps as maps,
     pipeline as pipeline,
-    products as products,
     rendering as rendering,
-    scene_files as scene_files,
-    virtual_store as virtual_store,
 )

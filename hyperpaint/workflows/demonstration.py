@@ -18,7 +18,7 @@ from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, flags_set_from
 from hyperpaint.io.spectrometers.svc import open_svc
 from hyperpaint.paints.signatures.extraction import EXCLUDED, extract_signatures
-from hyperpaint.regions.geojson import read_regions
+from hyperpaint.regions.polygons import read_regions
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.simulation.collect import MARKER, PARTS, REGIONS, SVC_FOLDER
 from hyperpaint.simulation.instruments import CAMERA_SOFTWARE

@@ -27,8 +27,7 @@ from hyperpaint.validation import Validation
 
 from .library_files import validate_files, write_signatures, write_table
 from .maps import LINES, lines_of_store, map_of_store, mosaic_of_store, write_map
-from .pipeline import run
-from .products import Record, StepOutcome, states_of
+from .pipeline import Record, StepOutcome, run, states_of
 
 #: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
 #: products that another program wrote are replaced only on request.

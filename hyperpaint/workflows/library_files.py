@@ -35,8 +35,8 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.planning import is_lamp_lit
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.regions.proposals import propose_regions
-from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged, without_scene_flags
 from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.surroundings.surveying import Flagged, flag_line, is_flagged, without_scene_flags
 from hyperpaint.validation import Validation, validate
 
 from .maps import LINES, lines_of_store, location_of

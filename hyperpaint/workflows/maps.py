@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files

@@ -2,6 +2,18 @@
 
 Inputs are checked before processing (`collect_check`), recorded in the store as digests, protected from being
 overwritten, and compared with the store later (`compare_inputs`).
+
+There is one recipe for products: inputs, settings, function and output are declared; one engine makes them.
+
+A product is a store, a file, several files, or a folder. Its declaration says what it is made from. The
+engine decides by content whether it is current, refuses to replace content of other programs, makes it, and
+reports. Every product is built beside its place and put there in one step, see
+`hyperpaint.io.files.publishing`.
+
+`write_groups` makes the groups of a store, `Record.produce` makes files and folders. The manifest of the
+store, or the file of the record, says from which inputs an existing product was made.
+
+A virtual store is a collect as a small store that refers to the raw cubes of the camera.
 """
 
 from __future__ import annotations
@@ -9,55 +21,431 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import json
+import os
+import re
 import shlex
+import sys
+import warnings
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import dask
 import numpy as np
 import xarray as xr
 
 from hyperpaint.alignment import align
 from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
+    CollectError,
+    FormatError,
     PaintError,
+    PaintWarning,
     Problems,
     SchemaError,
     StoreError,
+    needs_extra,
     warn_user,
 )
 from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares, flags_set_from
-from hyperpaint.io.envi.envi_cubes import find_pair, read_header
+from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
+from hyperpaint.io.envi.envi_cubes import (
+    FILE_DIMS,
+    EnviArray,
+    find_pair,
+    open_envi,
+    read_header,
+    slab_lines,
+    slab_offsets,
+)
+from hyperpaint.io.files.publishing import publish_file, published_folder
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.io.store import budget, open_group
-from hyperpaint.io.store.budget import limited_threads, parse_size
-from hyperpaint.io.store.computing import errors_of_the_cluster
+from hyperpaint.io.store import budget, is_complete, open_group
+from hyperpaint.io.store.budget import Demand, limited_threads, parse_size
+from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of
-from hyperpaint.io.store.writer import check_codec
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of, numerics_of
+from hyperpaint.io.store.raw_references import (
+    RawFile,
+    VirtualCube,
+    check_url,
+    is_virtual,
+    open_virtual,
+    refuse_kerchunk,
+    summary_of,
+    virtual_groups,
+    write_icechunk,
+)
+from hyperpaint.io.store.reader import check_above, groups_above, version_of_program
+from hyperpaint.io.store.stage import Staging, staging
+from hyperpaint.io.store.writer import WholeRun, check_codec, check_room, run_contents, whole_run
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS
 from hyperpaint.radiometry.panels import declared_panels
 from hyperpaint.radiometry.pixel_reading import coarse_reflectance
 from hyperpaint.radiometry.planning import has_white, is_lamp_lit
-from hyperpaint.surroundings.flags import flag_line
 from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.surroundings.surveying import flag_line
 
-from .collect_check import refuse_findings
-from .laboratory import opened_collect
-from .products import Outcome, computing_on, digest_of, local_folder, refuse_to_write_over, write_groups
+from .collect_check import opened_collect, refuse_findings
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
-    from hyperpaint.io.store.budget import Demand
+
+#: A URL of fsspec, also one that was converted to a `Path`; not the letter of a drive.
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    # Groups that a run wrote or found complete.
+    path: Path  #: The store.
+    written: tuple[str, ...]  #: Groups that were written.
+    unchanged: tuple[str, ...]  #: Groups that were complete, from the same inputs and parameters.
+    #: Corrections between camera and irradiance record, by the group of the flight line.
+    corrected: Mapping[str, str] = field(default_factory=dict)
+
+
+def local_folder(out: str | Path, command: str) -> Path:
+    # Return the store's folder; refuse a URL (`StoreError`).
+    StoreError.raise_if(
+        _URL.match(os.fspath(out)),
+        f"{command} writes to a folder, not to {os.fspath(out)!r}",
+        mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
+        "which accepts URLs (guide, 'Object stores')",
+        code="output-is-url",
+    )
+    return Path(out)
+
+
+def paths_in(settings: Any) -> Iterator[Path]:
+    # Yield every path in settings, also in nested dataclasses, mappings and sequences.
+    if isinstance(settings, Path):
+        yield settings
+    elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
+        yield from paths_in([getattr(settings, field.name) for field in dataclasses.fields(settings)])
+    elif isinstance(settings, Mapping | list | tuple | set | frozenset):
+        for value in settings.values() if isinstance(settings, Mapping) else settings:
+            yield from paths_in(value)
+
+
+def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
+    # Refuse an output that is an input, lies in an input, or contains inputs.
+    #
+    # ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
+    # inputs.
+    output = out.resolve()
+    problems = Problems(
+        f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
+    )
+    for path in dict.fromkeys(map(Path.resolve, paths_in(settings))):
+        relation = "is" if output == path else "holds" if output in path.parents else "lies in"
+        problems.add_if(
+            relation != "lies in" or (path in output.parents and path.is_dir()),
+            f"it {relation} {path}, an input",
+            code="output-is-input",
+        )
+    problems.raise_if_any()
+
+
+def finishing_command(command: str, options: Mapping[str, Any]) -> str:
+    # Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
+    #
+    # ``options``: values by option; None and False leave an option out, a list repeats it.
+    arguments = ""
+    for name, value in options.items():
+        for argument in value if isinstance(value, list) else [value]:
+            if argument is not None and argument is not False:
+                arguments += f" {name}" if argument is True else f" {name} {quote(str(argument))}"
+    return f"hyperpaint {command} --out {{store}}{arguments}"
+
+
+def kept_groups(
+    groups: Mapping[str, xr.Dataset],
+    out: Path,
+    *,
+    overwrite: bool,
+    command: str,
+    only: tuple[str, str] | None = None,
+) -> list[str]:
+    # Return the complete groups of a store; refuse a store with other groups.
+    #
+    # ``groups``: the planned groups, with their attribute `INPUTS`; ``command``: its name for messages.
+    # ``only``: a prefix, and what its groups belong to: unplanned groups with this prefix are refused.
+    #
+    # Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are
+    # listed.
+    if not out.exists():
+        return []
+    location = Location.of(out)
+    problems = Problems(f"cannot write {out}", StoreError)
+    parents = dict.fromkeys(parent for name in groups for parent in groups_above(name))
+    check_above(parents, location, problems, overwrite=overwrite)
+    problems.raise_if_any()
+    complete = []
+    contents = run_contents(groups)
+    manifest = Manifest.read(location, ignore_damage=overwrite)
+    for name in location.groups():
+        content = content_of(location, name, manifest)
+        is_from_run = len(content.split(" ", 2)) == 3  # a run records group, inputs and settings
+        if name not in groups:
+            if only is not None and name.startswith(only[0]) and is_from_run:
+                problems.add(
+                    f"it holds /{name}, which does not belong to {only[1]}",
+                    mend="choose another path",
+                    code="group-foreign",
+                )
+        elif content == contents[name]:
+            # a group with a missing chunk is written again
+            if is_complete(out, name):
+                complete.append(name)
+        elif not overwrite:
+            numerics = numerics_of(content)
+            state = "from other inputs or parameters"
+            if not is_from_run:
+                state = f"not written by {command}, or written by hyperpaint 0.2 or older"
+            elif numerics not in (None, NUMERICS_VERSION):
+                state = f"from version {numerics} of the numerics; this is version {NUMERICS_VERSION}"
+            problems.add(
+                f"/{name} exists, {state}",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+                code="store-exists",
+            )
+    problems.raise_if_any()
+    return complete
+
+
+def write_groups(
+    out: Path,
+    groups: Mapping[str, xr.Dataset],
+    plan: Callable[[list[str]], Mapping[str, xr.Dataset]],
+    attrs: Mapping[Any, Any],
+    *,
+    source: str | Path,
+    command: str,
+    options: Mapping[str, Any],
+    only: tuple[str, str] | None = None,
+    from_stored: Callable[[str, WholeRun], xr.Dataset] | None = None,
+    announce: Callable[[str], str] | None = None,
+    overwrite: bool = False,
+    codec: Codec = DEFAULT_CODEC,
+    client: Client | None = None,
+) -> Outcome:
+    # Write the groups of a store that are missing or not current; complete groups stay.
+    #
+    # Everything is checked, and the first slab of every flight line computed, before anything is written.
+    #
+    # ``out``: The store. ``groups``: All groups of the store, with the attributes `INPUTS` and `SETTINGS`.
+    # ``plan``: Returns the datasets of the groups that will be written, by their names. ``attrs``: Attributes
+    # of the root. ``source``: File of the inputs, for messages and for the command that resumes the run.
+    # ``command``, ``options``: Command that writes the store, and its options. ``only``: See `kept_groups`.
+    # ``from_stored``: Returns the dataset of a group when its turn comes, from groups that are stored
+    # already. ``announce``: Returns the line on stderr about a group; None shows no progress.
+    complete = kept_groups(groups, out, overwrite=overwrite, command=command, only=only)
+    products = plan([name for name in groups if name not in complete])
+    check_room(products, out, {name: str(dataset.attrs[INPUTS]) for name, dataset in products.items()}, codec)
+    # The first slab of every line shows impossible values before anything is written. On a cluster whose
+    # workers share a cache this also compiles the kernels once.
+    problems = Problems(f"{source} cannot be processed", CollectError)
+    for name, dataset in products.items():
+        if "quality" in dataset.variables:
+            try:
+                with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
+                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(
+                        **({} if client is None else {"retries": RETRIES})
+                    )
+            except StoreError:  # a fault of the cluster, not of the data
+                raise
+            except (PaintError, OSError) as error:
+                problems.add_error(f"/{name}", error)
+    problems.raise_if_any()
+    resumed = finishing_command(f"{command} {quote(str(Path(source).absolute()))}", options)
+    with whole_run(
+        out, run_contents(groups), products, attrs, command=resumed, overwrite=overwrite, codec=codec
+    ) as turn:
+        for name, dataset in products.items():
+            if announce is not None and (line := announce(name)):
+                sys.stderr.write(line)
+            dataset = dataset if from_stored is None else from_stored(name, turn)
+            turn.write(name, dataset, progress=announce is not None)
+    return Outcome(out, tuple(products), tuple(complete))
+
+
+# --- where it is computed ---
+
+#: Time to wait for the first worker of a cluster [s].
+WORKERS_WAIT = 60
+
+
+@contextlib.contextmanager
+def computing_on(address: str | None) -> Iterator[Client | None]:
+    # Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
+    #
+    # Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at
+    # the address; `StoreError` if the cluster has no worker.
+    with contextlib.ExitStack() as stack:
+        if address is None:
+            client = client_in_force()
+            # set the scheduler here, so that dask does not search for a client again
+            if client is None and not dask.config.get("scheduler", None):
+                stack.enter_context(dask.config.set(scheduler=scheduler_in_force()))
+        else:
+            with needs_extra("distributed", "distributed", "processing on a cluster"):
+                from distributed import Client
+            try:
+                # not the default client: if no scheduler answers, it would remain the default, and later
+                # computations wait
+                client = stack.enter_context(Client(address, timeout="10s", set_as_default=False))
+            except (OSError, ValueError, TimeoutError) as error:
+                raise CollectError(
+                    f"no dask scheduler answers at {address!r} ({error})",
+                    expected="an address such as tcp://host:8786",
+                    code="scheduler-unreachable",
+                ) from error
+            stack.enter_context(client.as_current())
+            stack.enter_context(dask.config.set(scheduler=client.get))
+        if client is not None:
+            try:
+                # the size of tasks depends on the memory of the first worker
+                client.wait_for_workers(1, timeout=WORKERS_WAIT)
+            except TimeoutError as error:
+                scheduler = client.scheduler_info()["address"]
+                raise StoreError(
+                    f"no worker joined the scheduler at {scheduler} within {WORKERS_WAIT} s",
+                    mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
+                    code="worker-missing",
+                ) from error
+        yield client
+
+
+# --- files and folders -------------------------------------------------------------------------------------
+
+_HASH = "blake2b"
+#: Entry of a product that was begun and not finished: its files may be those of a run.
+_UNFINISHED: dict[str, Any] = {"inputs": None, "products": None}
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """Outcome of a step.
+
+    Attributes
+    ----------
+    step
+        Name of the step.
+    state
+        ``"done"``, ``"unchanged"`` (products of the same inputs exist), ``"left out"`` or ``"failed"``.
+    text
+        Products, or the reason why there are none.
+    paths
+        Files of the products.
+    error
+        Error of a failed step.
+    """
+
+    step: str
+    state: str
+    text: str
+    paths: tuple[Path, ...] = ()
+    error: PaintError | None = None
+
+
+@dataclass(frozen=True)
+class Record:
+    """File with checksums of the inputs and the files of products, by which the engine knows them again."""
+
+    path: Path
+    names: Collection[str]  #: Names of all products.
+
+    def entries(self) -> dict[str, Any]:
+        # Return the entries by name; entries of products that are damaged count as unfinished.
+        if not self.path.is_file():
+            return {}
+        try:
+            record = json.loads(read_limited(self.path, 1 << 20, "the record of products"))
+        except ValueError:
+            record = None
+        entries = record if isinstance(record, dict) else dict.fromkeys(self.names)
+        for name in [name for name in self.names if name in entries]:
+            entry = entries[name]
+            states = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNFINISHED) else None
+            # earlier versions recorded sizes and times
+            if not isinstance(states, dict) or not all(
+                not state or str(state).startswith(f"{_HASH}:") for state in states.values()
+            ):
+                entries[name] = _UNFINISHED
+        return entries
+
+    def write(self, entries: Mapping[str, Any]) -> None:
+        # Write entries; others stay.
+        publish_file(
+            self.path,
+            json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True).encode(),
+            overwrite=True,
+        )
+
+    def produce(
+        self, name: str, paths: tuple[Path, ...], inputs: Any, make: Callable[[], str], *, overwrite: bool
+    ) -> StepOutcome:
+        # Make a product unless it is current; errors of the package are an outcome.
+        #
+        # ``paths``: its files or folders; ``inputs``: values for JSON of everything that it depends on,
+        # besides the version of the program; ``make``: makes it, and returns a text for the report;
+        # ``overwrite``: whether to replace files that another program wrote or changed.
+        inputs, listed = digest_of([version_of_program(), name, inputs]), ", ".join(map(str, paths))
+        entry, states = self.entries().get(name), states_of(paths)
+        if entry == {"inputs": inputs, "products": states} and all(map(Path.exists, paths)):
+            return StepOutcome(name, "unchanged", listed, paths)
+        recorded = (entry or {}).get("products") or {}
+        foreign = [path for path in paths if path.exists() and states[path.name] != recorded.get(path.name)]
+        try:
+            StoreError.raise_if(
+                foreign and not (overwrite or entry == _UNFINISHED),
+                f"{', '.join(map(str, foreign))}: written or changed by another program",
+                mend="move them away, or pass overwrite=True",
+                option="move them away, or use --overwrite",
+                code="product-foreign",
+            )
+            # if this run is interrupted, its files are not taken for those of another program
+            self.write({name: _UNFINISHED})
+            text = make()
+        except PaintError as error:
+            return StepOutcome(name, "failed", str(error), error=error)
+        self.write({name: {"inputs": inputs, "products": states_of(paths)}})
+        return StepOutcome(name, "done", text, paths)
+
+
+def digest_of(inputs: Any) -> str:
+    # Return the digest of values for JSON, such as the inputs of a product.
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def states_of(paths: Iterable[Path]) -> dict[str, str]:
+    # Return checksums by name: of a file's content, of all files of a folder, of the metadata of a store.
+    #
+    # The metadata of a store contain checksums of its chunks. The checksum of a missing path is empty.
+    states: dict[str, str] = {}
+    for path in paths:
+        pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"
+        files = [path] if path.is_file() else sorted(filter(Path.is_file, path.rglob(pattern)))
+        sums = []
+        for file_path in files:
+            with open(file_path, "rb") as file:
+                digest = hashlib.file_digest(file, _HASH).hexdigest()
+            sums.append((file_path.relative_to(path).as_posix(), digest))
+        states[path.name] = f"{_HASH}:{digest_of(sums)}" if sums else ""
+    return states
 
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
@@ -538,3 +926,256 @@ def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> I
 
     with ThreadPoolExecutor() as pool:
         yield from filter(None, pool.map(block_problem, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))
+
+
+#: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
+MAX_COPIED_SHARE = 0.1
+
+_MIN_COPIED_SLABS = 4  # number of slabs that may always be copied
+_INCOMPLETE = "and incomplete"
+_SAMPLE_BYTES = 16 * 1024
+
+
+def virtualise(
+    collect: str | Path,
+    out: str | Path,
+    *,
+    prefix: str | None = None,
+    alignment: Alignment | None = None,
+    accept: Collection[str] = (),
+    overwrite: bool = False,
+) -> Outcome:
+    """Write a store of flight lines that refers to the raw cubes and holds all variables that calibrate them.
+
+    ``.paint.reflectance()`` of `hyperpaint.io.open_virtual` is bit for bit that of the counts stored by
+    `hyperpaint.process`. The collect is opened, checked and aligned as by `process`; of cubes only the lines
+    needed for this are read.
+
+    A slab of 8 to 64 lines is a contiguous range of bytes in its file. Other slabs are copied into the store:
+    incomplete last slabs of a cube, slabs that span two cubes, and slabs with lost frames.
+
+    Parameters
+    ----------
+    collect
+        A ``collect.toml``; see `hyperpaint.open_collect`.
+    out
+        A folder, for a repository of icechunk.
+    prefix
+        URL (s3, http, https) of a copy of the folder of ``collect``, such as ``s3://bucket/flight``: the
+        store refers to this copy. Samples of the copy are compared with the local files.
+    alignment, accept
+        See `hyperpaint.process`.
+    overwrite
+        Replace a virtual store of other inputs, once the new store is complete. An incomplete store of the
+        same inputs is always written again.
+
+    Returns
+    -------
+    Outcome
+        The store, and its groups.
+
+    Raises
+    ------
+    CollectError, SchemaError
+        As `hyperpaint.process`.
+    FormatError
+        Slabs of a cube are not contiguous (``bsq``), its samples are not uint16 counts, or too many slabs
+        would be copied; all lines are listed.
+    StoreError
+        ``out`` exists with other inputs, contains inputs, or has the suffix of kerchunk references; or files
+        below ``prefix`` differ from the local files.
+    MissingExtraError
+        icechunk is not installed.
+
+    Examples
+    --------
+    >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
+    """
+    out = local_folder(out, "virtual")
+    refuse_kerchunk(out, write=True)
+    if prefix is not None:
+        check_url(prefix)
+    opened, tree = opened_groups(
+        collect, 32, {"to": "reflectance", "reflectance": "none", "alignment": alignment}
+    )
+    refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "virtual")
+    lines = {name: tree[name] for name in opened.cubes}
+    cubes = _cubes(opened, lines, prefix)
+    if out.exists():
+        # difference of the existing store from the collect, in words; empty if there is none
+        difference, summary = "", summary_of({name: (line, cubes[name]) for name, line in lines.items()})
+        try:
+            if not is_virtual(out):
+                difference = "and is not a virtual store"
+            elif virtual_groups(out) != summary:
+                difference = "from other inputs"
+        except StoreError as error:
+            difference = f"and cannot be read ({error})"
+        if not difference:
+            # allow access only to the files of the collect, not to places named in the store
+            allow = [file.url for cube in cubes.values() for file in cube.files]
+            try:
+                for name in summary:
+                    open_virtual(out, name, allow=allow)
+            except StoreError:
+                difference = _INCOMPLETE
+        if not difference:
+            staging_area = Staging(out.absolute())
+            if staging_area.folder.exists():  # leftovers of a run killed at its end
+                with contextlib.suppress(StoreError), staging(staging_area.store):
+                    pass
+            return Outcome(out, (), tuple(lines))
+        StoreError.raise_if(
+            difference != _INCOMPLETE and not (overwrite and is_virtual(out)),
+            f"{out} exists, {difference}",
+            mend="pass overwrite=True, which replaces a virtual store, or choose another path",
+            option="pass --overwrite, which replaces a virtual store, or choose another --out",
+            code="store-exists",
+        )
+    accepted = refuse_findings(opened, lines, accept, lit=True)
+    apply = alignment or opened.settings.alignment
+    groups = {}
+    for name, line in lines.items():
+        # all variables except the cube, in memory
+        aligned = aligned_group(line, name, "reflectance", apply)
+        companions = aligned.drop_vars("counts")
+        if panels := declared_panels(aligned):
+            product = aligned.paint.reflectance(panel=panels)
+            companions = companions.assign(
+                {variable: product[variable] for variable in product if str(variable).startswith("panel_")}
+            )
+        split = split_of_lines(aligned)
+        companions = (companions if split is None else companions.assign(split.data_vars)).compute()
+        companions.attrs.pop(SETTINGS, None)
+        groups[name] = companions.assign_attrs(accepted.get(name, {})), cubes[name]
+    attrs = {str(key): value for key, value in opened.tree.attrs.items()}
+    with published_folder(
+        out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
+    ) as folder:
+        write_icechunk(folder, groups, attrs)
+    return Outcome(
+        out, tuple(groups), (), corrections_of({name: companions for name, (companions, _) in groups.items()})
+    )
+
+
+def _cubes(
+    opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
+) -> dict[str, VirtualCube]:
+    # references to the slabs in the raw files, by group
+    entries = {str(entry.name): entry for entry in opened.settings.flightlines}
+    problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
+    base = opened.settings.path.absolute().parent
+    cubes = {}
+    for name, line in lines.items():
+        try:
+            arrays = []
+            for entry in map(entries.__getitem__, opened.members[name]):
+                with warnings.catch_warnings():  # already given when the collect was opened
+                    warnings.simplefilter("ignore", PaintWarning)
+                    dataset = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
+                lazy: Any = next(iter(dataset.data_vars.values())).variable._data
+                array = lazy.array
+                if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
+                    raise FormatError(
+                        f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
+                        expected="raw counts, uint16 (ENVI data type 12)",
+                        mend="process the collect instead",
+                        code="counts-not-raw",
+                    )
+                arrays.append(array)
+            files = tuple(_raw_file(Path(array.path), base, prefix) for array in arrays)
+            cubes[name] = _cube(line, arrays, files)
+        except (FormatError, StoreError) as error:
+            problems.add_error(f"/{name}", error)
+    problems.raise_if_any()
+    return cubes
+
+
+def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
+    # the local file, or its copy below the URL ``prefix``
+    local = RawFile.of(f"file://{os.path.realpath(path)}")
+    if prefix is None:
+        return local
+    StoreError.raise_if(
+        not path.is_relative_to(base),
+        f"{path} is outside {base}, the folder of which {prefix} is a copy",
+        code="file-outside-prefix",
+    )
+    from fsspec.core import url_to_fs  # type: ignore[import-untyped]
+
+    copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
+    StoreError.raise_if(
+        copy.size != local.size,
+        f"{copy.url}: {copy.size} bytes",
+        expected=f"{local.size}, as {path}",
+        mend="copy it again",
+        code="copy-differs",
+    )
+    fs, key = url_to_fs(copy.url)
+    with open(path, "rb") as file:
+        for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
+            file.seek(start)
+            stop = min(start + _SAMPLE_BYTES, local.size)
+            StoreError.raise_if(
+                fs.cat_file(key, start=start, end=stop) != file.read(stop - start),
+                f"{copy.url} differs from {path} at byte {start} or after it",
+                mend="copy it again",
+                code="copy-differs",
+            )
+    return copy
+
+
+def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
+
+    first_array = arrays[0]
+    interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)
+    if interleave is None or len({(array.axes, array.file_shape[1:], array.stored) for array in arrays}) > 1:
+        problem = (
+            "bsq: a slab of lines is not contiguous in the file"
+            if interleave is None
+            else "cubes of several layouts"
+        )
+        raise FormatError(
+            problem,
+            expected="bil or bip, the same in all cubes",
+            mend="process the collect instead",
+            code="interleave-unsupported",
+        )
+    dims = FILE_DIMS[interleave]
+    ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
+    count = line.sizes[ALONG_TRACK]
+    FormatError.raise_if(
+        ends[-1] != count,
+        f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
+        mend="process the collect instead",
+        code="frames-lost",
+    )
+    lines = slab_lines(ends)
+    width = first_array.file_shape[1] * first_array.file_shape[2] * first_array.stored.itemsize
+    lost_slabs = np.flatnonzero(np.isnat(line["time"].values)) // lines
+    slabs: list[tuple[int, int, int]] = []
+    for number, (start, end) in enumerate(itertools.pairwise([0, *ends])):
+        first_slab, end_slab = -(-start // lines), end // lines  # slabs that are completely in this file
+        offsets = slab_offsets(
+            lines, first_slab * lines - start, end_slab - first_slab, arrays[number].offset, width
+        )
+        slabs += [
+            (slab, number, offset)
+            for slab, offset in zip(range(first_slab, end_slab), offsets.tolist(), strict=True)
+            if slab not in lost_slabs
+        ]
+    total = -(-count // lines)
+    copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
+    FormatError.raise_if(
+        len(copied) > max(_MIN_COPIED_SLABS, MAX_COPIED_SHARE * total),
+        f"{len(copied)} of {total} slabs have lost frames or span two cubes, and would be copied",
+        expected=f"at most {MAX_COPIED_SHARE:.0%}",
+        mend="process the collect instead",
+        code="slabs-copied",
+    )
+    cube = line["counts"].transpose(*dims)
+    copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}
+    attrs = {key: value for key, value in cube.attrs.items() if isinstance(value, str | int | float | list)}
+    return VirtualCube(
+        "counts", dims, cube.shape, lines, first_array.stored, attrs, files, tuple(slabs), copies
+    )

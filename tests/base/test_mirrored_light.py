@@ -9,7 +9,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
-from hyperpaint.paints.mixing.synthetic_paints import coating_of
+from hyperpaint.paints.paint_libraries import coating_of
 from hyperpaint.validation.validating import signatures_from
 
 CASES = [

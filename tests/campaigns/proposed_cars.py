@@ -38,9 +38,9 @@ def render(
 ) -> tuple[Any, Any]:
     # Return a flight line without noise, its truth beside it, and the atmosphere
     import hyperpaint as hp
+    from hyperpaint.simulation.atmosphere import Atmosphere
     from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
 
     rng = np.random.default_rng([seed, 2026])

@@ -36,8 +36,8 @@ EXPOSURES = (0.003, 0.006, 0.012)
 
 def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 24) -> tuple[Any, Any, Any]:
     # Return radiance of glossy and metallic cars in the sun, the flight, and the light
+    from hyperpaint.simulation.atmosphere import Atmosphere
     from hyperpaint.simulation.rendering.car_parks import car_park
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
 
     rng = np.random.default_rng([seed, 4095])

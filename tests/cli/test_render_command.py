@@ -341,7 +341,7 @@ def test_problems_are_one_message_and_status_2(tmp_path: Path) -> None:
 
 
 def test_the_example_is_printed_and_help_teaches() -> None:
-    from hyperpaint.workflows.scene_files import example_scene
+    from hyperpaint.workflows.rendering import example_scene
 
     assert hyperpaint("render", "--example").stdout == example_scene()
     assert "hyperpaint render --example > scene.toml" in hyperpaint("render", "--help").stdout

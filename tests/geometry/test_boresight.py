@@ -11,7 +11,7 @@ from support.wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.boresight import BoresightSolution, solve_boresight
+from hyperpaint.geometry.georeference.locating import BoresightSolution, solve_boresight
 
 pyproj = pytest.importorskip("pyproj")
 

@@ -4,7 +4,7 @@ import pytest
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.geometry.georeference.geodesy import crs_of, is_in_metres
-from hyperpaint.geometry.georeference.poses import angles_of, quaternions
+from hyperpaint.geometry.georeference.locating import angles_of, quaternions
 
 pytest.importorskip("pyproj")
 

@@ -20,7 +20,7 @@ from support.hidden_ground import (
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.geometry.orthorectification.tiling import hidden_between
+from hyperpaint.geometry.orthorectification.mapping import hidden_between
 
 DIMS = ("along_track", "cross_track")
 

@@ -16,7 +16,7 @@ from support.refusals import expect_refusals
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.geometry.georeference.poses import angles_of, matrices, quaternions, slerp
+from hyperpaint.geometry.georeference.locating import angles_of, matrices, quaternions, slerp
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
 CANONICAL = Convention()

@@ -20,10 +20,10 @@ from hyperpaint.base.schema import Floats
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.rendering.relighting import factor_spectra
-from hyperpaint.simulation.rendering.scene_record import SceneRecord, sun_vectors
+from hyperpaint.simulation.rendering.scene import SceneRecord, sun_vectors
 
 if TYPE_CHECKING:
-    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.atmosphere import Atmosphere
     from hyperpaint.simulation.rendering.materials import Material
     from hyperpaint.simulation.rendering.scene import Scene
 

@@ -10,8 +10,7 @@ from support.library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
-from hyperpaint.paints.colours import paint_colours
-from hyperpaint.paints.paint_search import _one_spectrum
+from hyperpaint.paints.paint_libraries import _one_spectrum, paint_colours
 from hyperpaint.validation.validating import statistics_of
 
 RED = "Synthetic Signal Red"

@@ -14,7 +14,7 @@ from hyperpaint.base.schema import CUBE
 from hyperpaint.paints.signatures import extraction, pixel_statistics
 from hyperpaint.paints.signatures.pixel_statistics import chosen_members, geometric_median, summarise
 from hyperpaint.regions import pixels
-from hyperpaint.surroundings.flags import LAYERS
+from hyperpaint.surroundings.surveying import LAYERS
 
 # --- against plain numpy -----------------------------------------------------------------------------------
 

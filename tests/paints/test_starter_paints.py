@@ -12,8 +12,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.light.daylight_colours import srgb_hex
-from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.plot_spectra import library_overview
+from hyperpaint.paints.paint_libraries import paint_colours
+from hyperpaint.pictures.plot import library_overview
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, paint_spec, spectrum_of
 
 

@@ -16,7 +16,7 @@ from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.cli.program import main
 from hyperpaint.pictures.figures import check_picture
-from hyperpaint.pictures.plot_calibration import calibration_report
+from hyperpaint.pictures.plot import calibration_report
 from hyperpaint.simulation import simulate_sweep
 
 COLUMNS, STEPS = 6, 31

@@ -20,10 +20,9 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 from support.refusals import expect_errors, expect_refusals
 
-from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import save_figure
-from hyperpaint.pictures.plot import triptych
-from hyperpaint.pictures.plot_spectra import MAX_PAINTS, library_overview, spectrum
+from hyperpaint.pictures.plot import MAX_PAINTS, library_overview, spectrum, triptych
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])

@@ -8,8 +8,16 @@ import numpy.typing as npt
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece
-from hyperpaint.regions.proposals.cars import Level, Verdict, change_with_lean, difference_of, judge_finish
+from hyperpaint.regions.proposals.cars import (
+    Level,
+    Measures,
+    Picture,
+    Piece,
+    Verdict,
+    change_with_lean,
+    difference_of,
+    judge_finish,
+)
 from hyperpaint.surroundings import SceneModel
 
 Floats = npt.NDArray[np.float64]

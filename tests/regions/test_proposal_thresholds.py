@@ -8,13 +8,15 @@ import numpy.typing as npt
 import pytest
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, measured, pieces
 from hyperpaint.regions.proposals.cars import (
     JOININGS,
     Car,
     Footprint,
     Level,
+    Measures,
     NoRoof,
+    Picture,
+    Piece,
     Place,
     Roof,
     Verdict,
@@ -28,6 +30,8 @@ from hyperpaint.regions.proposals.cars import (
     judge_pixels,
     level_light,
     level_place,
+    measured,
+    pieces,
 )
 
 NM = np.linspace(412.0, 988.0, 24)

@@ -16,8 +16,16 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, lean_to_sun
-from hyperpaint.regions.proposals.cars import Level, Verdict, hull_of, judge_level
+from hyperpaint.regions.proposals.cars import (
+    Level,
+    Measures,
+    Picture,
+    Piece,
+    Verdict,
+    hull_of,
+    judge_level,
+    lean_to_sun,
+)
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 

@@ -5,9 +5,9 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions import pixels_of
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 from hyperpaint.surroundings.corrections import remove_mirrored_sky

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
-from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
+from hyperpaint.regions import Region, Regions, polygons, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 FILES = settings(max_examples=40)
@@ -165,7 +165,7 @@ def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     for path in (tmp_path, tmp_path / "none", tmp_path / "a\0b"):
         with pytest.raises(FormatError, match="check the path"):
             read_regions(path)
-    monkeypatch.setattr(geojson, "MAX_FILE_BYTES", 10)
+    monkeypatch.setattr(polygons, "MAX_FILE_BYTES", 10)
     (tmp_path / "r").write_bytes(b"[           ]")
     with pytest.raises(FormatError, match="13 bytes"):
         read_regions(tmp_path / "r")

@@ -12,8 +12,8 @@ from hypothesis import given, settings, strategies as st
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
-from hyperpaint.regions.pixels_in_regions import contains, renumbered
+from hyperpaint.regions import Region, Regions, pixels, pixels_of, polygons, region_mask
+from hyperpaint.regions.polygons import contains, renumbered
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 
@@ -158,7 +158,7 @@ def test_pixels_are_columns_and_lines() -> None:
 def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     region = Region("a", np.random.default_rng(1).uniform(0, 40, (9, 2)))
     whole = pixels(region, line(50, 45))
-    monkeypatch.setattr(pixels_in_regions, "_BLOCK_PIXELS", 100)
+    monkeypatch.setattr(polygons, "_BLOCK_PIXELS", 100)
     for axis in (0, 1):
         np.testing.assert_array_equal(pixels(region, line(50, 45))[axis], whole[axis])
 
@@ -186,7 +186,7 @@ def test_pixels_by_their_place_on_the_ground(chunks: Any) -> None:
 
 
 def test_pixels_of_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pixels_in_regions, "_BLOCK_PIXELS", 20)
+    monkeypatch.setattr(polygons, "_BLOCK_PIXELS", 20)
     grid = xr.Dataset({"reflectance": (("y", "x", "band"), np.zeros((8, 6, 2), "f4"))})
     grid = grid.assign_coords(x=100.0 + 0.5 * np.arange(6), y=50.0 - 0.5 * np.arange(8))
     region = Region("a", [(101, 48.9), (101.6, 48.9), (101.6, 50), (101, 50)])

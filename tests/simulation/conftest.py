@@ -9,7 +9,7 @@ from typing import Any
 import dask
 import pytest
 
-from hyperpaint.simulation import rendered_flight
+from hyperpaint.simulation import flight
 
 
 @pytest.fixture(scope="session")
@@ -27,5 +27,5 @@ def scheduler_of_lines(two_workers: Any) -> Callable[[int], Any]:
 def equal_flights_share_a_car_park() -> Iterator[None]:
     # Make the scene of flights with equal settings once; scenes are not changed by a flight
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendered_flight, "car_park", functools.lru_cache(8)(rendered_flight.car_park))
+        patch.setattr(flight, "car_park", functools.lru_cache(8)(flight.car_park))
         yield

@@ -22,13 +22,12 @@ from oracles.mitsuba_scenes import FrameCamera, write_mesh
 
 import hyperpaint as hp
 from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo, gloss_units
 from hyperpaint.simulation.rendering.platforms import Platform, matrices
-from hyperpaint.simulation.rendering.scene import Scene, box, plane
-from hyperpaint.simulation.rendering.scene_record import sun_vectors
+from hyperpaint.simulation.rendering.scene import Scene, box, plane, sun_vectors
 
 # --- mitsuba ---
 

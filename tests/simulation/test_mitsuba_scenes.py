@@ -12,7 +12,7 @@ from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
 from support.refusals import expect_words
 
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
 from hyperpaint.simulation.rendering.scene import Scene, plane
 

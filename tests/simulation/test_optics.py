@@ -23,7 +23,7 @@ from hyperpaint.simulation.camera import (
 )
 from hyperpaint.simulation.collect import flight_of
 from hyperpaint.workflows import rendering
-from hyperpaint.workflows.scene_files import example_scene, read_scene_file
+from hyperpaint.workflows.rendering import example_scene, read_scene_file
 
 Floats = NDArray[np.float64]
 

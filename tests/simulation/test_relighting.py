@@ -29,6 +29,7 @@ from support.transport_scenes import code as code_of
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import VARIABLES
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import (
     BandResponses,
     BandSet,
@@ -38,12 +39,10 @@ from hyperpaint.simulation.camera import (
     smile,
 )
 from hyperpaint.simulation.rendering import relighting
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.relighting import SHARES, ProductTable, factor_spectra
-from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.scene import SceneRecord, plane
 from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, paint_spec, reflectance, spectrum_of
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.transport.path_codes import (

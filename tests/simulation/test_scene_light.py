@@ -35,22 +35,23 @@ from hyperpaint.light.sky_functions import (
 from hyperpaint.light.sun import solar_position
 from hyperpaint.simulation.atmosphere import (
     CIE_OVERCAST_SHARE,
+    PRESETS,
+    Atmosphere,
     BrokenClouds,
     Haze,
     Sky,
     built_in_sky,
     cloud_factor,
     cloud_transmittance,
+    preset_atmosphere,
     relative_air_mass,
     spectral_grid,
 )
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.collect import simulate_collect
-from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.scene import Scene, plane
-from hyperpaint.simulation.rendering.scene_record import sun_vectors
+from hyperpaint.simulation.rendering.scene import Scene, plane, sun_vectors
 from hyperpaint.simulation.settings import (
     DEFAULT_START,
     NEAR_SUNSET,

@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose
 from support.traced_scenes import FEW_BANDS, SUN, flat_light, two_cars
 
 import hyperpaint as hp
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet
-from hyperpaint.simulation.rendered_flight import RenderedFlight
+from hyperpaint.simulation.flight import RenderedFlight
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane

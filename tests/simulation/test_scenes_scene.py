@@ -14,9 +14,9 @@ from support.traced_scenes import irradiance_series
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, UnitsError
+from hyperpaint.simulation.atmosphere import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import (
     KINDS,
     Coat,

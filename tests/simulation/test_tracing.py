@@ -17,13 +17,12 @@ from support.traced_scenes import LOW_SUN, SUN, flight, two_cars
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import VARIABLES
+from hyperpaint.simulation.atmosphere import preset_atmosphere
 from hyperpaint.simulation.rendering import relighting
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.scene import Scene, plane
-from hyperpaint.simulation.rendering.scene_record import SceneRecord, TraceSettings, sun_vectors
+from hyperpaint.simulation.rendering.scene import Scene, SceneRecord, TraceSettings, plane, sun_vectors
 
 SETTINGS: dict[str, Any] = {"samples": 8, "seed": 3, "overcast": True, "sun_radius": 0.27}
 DIMS = {"along_track": 24, "slot": 72, "cross_track": 16, "sun": 2}

@@ -9,7 +9,7 @@ from pathlib import Path
 from hyperpaint.base.facts import Facts, toml_text
 from hyperpaint.base.schema import Quality
 from hyperpaint.io.collect.collect_toml import SCHEMA as COLLECT
-from hyperpaint.workflows.scene_files import SCHEMA as SCENE
+from hyperpaint.workflows.rendering import SCHEMA as SCENE
 
 DOCS = Path(__file__).parents[2] / "docs"
 BEGIN, END = "<!-- generated: tests/support/key_tables.py -->", "<!-- end of generated -->"

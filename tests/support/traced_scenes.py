@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet, line_shape
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
 from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
-from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
-from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.scene import Instance, Scene, SceneRecord, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
 SUN = (40.0, 150.0)

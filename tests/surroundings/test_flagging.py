@@ -19,8 +19,8 @@ from hyperpaint.regions.proposals import proposing
 from hyperpaint.regions.proposals.proposing import Proposals
 from hyperpaint.report import store_report
 from hyperpaint.simulation import simulate_line
-from hyperpaint.surroundings import flags
-from hyperpaint.surroundings.flags import flag_line, is_flagged
+from hyperpaint.surroundings import surveying
+from hyperpaint.surroundings.surveying import flag_line, is_flagged
 from hyperpaint.workflows import library_files
 from hyperpaint.workflows.library_files import write_signatures
 
@@ -80,7 +80,7 @@ def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         made.append(options)
         return real(line, **options)
 
-    for module in (flags, proposing):
+    for module in (surveying, proposing):
         monkeypatch.setattr(module, "survey", watched)
     return made
 

@@ -20,8 +20,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.flags import LAYERS
 from hyperpaint.surroundings.model import SceneModel
+from hyperpaint.surroundings.surveying import LAYERS
 
 NM = wavelengths()
 RED = smooth_edge(NM, 600.0, 0.04, 0.6)

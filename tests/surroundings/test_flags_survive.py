@@ -12,7 +12,7 @@ import hyperpaint as hp
 from hyperpaint.base.schema import Quality
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.simulation import simulate_line
-from hyperpaint.surroundings.flags import LAYERS
+from hyperpaint.surroundings.surveying import LAYERS
 
 SUN = {"sun_zenith": 35.0}
 REGION = hp.Region("part", [(2, 4), (17, 4), (17, 27), (2, 27)])

@@ -13,7 +13,7 @@ from hyperpaint.light.diffuse_record import SKY_STATES, split_of_lines
 from hyperpaint.light.sky_functions import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation import simulate_line
-from hyperpaint.surroundings.light_split import split_of
+from hyperpaint.surroundings.corrections import split_of
 
 NM = np.linspace(420.0, 980.0, 15)
 LINES = 8

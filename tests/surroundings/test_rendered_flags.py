@@ -9,8 +9,8 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS, Coat
 from hyperpaint.simulation.rendering.platforms import pushbroom
 

@@ -6,7 +6,7 @@ import scipy.optimize
 from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.light_split import mirrored_radiances
+from hyperpaint.surroundings.corrections import mirrored_radiances
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import (
     Light,

@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.light_split import measured_fraction, mirrored_radiances, shadow_side_of
+from hyperpaint.surroundings.corrections import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import Light, Matches, divide, touching
 from hyperpaint.surroundings.surveying import (
@@ -206,7 +206,7 @@ def test_a_measured_split_must_fit() -> None:
 
 def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
     pytest.importorskip("pvlib")
-    from hyperpaint.surroundings.light_split import diffuse_from_clear_sky
+    from hyperpaint.surroundings.corrections import diffuse_from_clear_sky
 
     ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
     np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)

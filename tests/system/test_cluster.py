@@ -320,7 +320,7 @@ def _end_soon() -> None:
 
 
 def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperpaint.workflows.products.WORKERS_WAIT", 0.2)
+    monkeypatch.setattr("hyperpaint.workflows.pipeline.WORKERS_WAIT", 0.2)
     collect = hp.simulate_collect(tmp_path / "raw", scene="plan", lines=8, bands=24, columns=4, truth=False)
     with (
         cluster(0, processes=False) as client,

@@ -11,7 +11,7 @@ import xarray as xr
 from support.refusals import refusal
 
 import hyperpaint as hp
-from hyperpaint.workflows.virtual_store import virtualise
+from hyperpaint.workflows.pipeline import virtualise
 
 pytestmark = pytest.mark.slow
 

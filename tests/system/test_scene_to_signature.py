@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.paints import starter_library
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation import SimulationSettings
-from hyperpaint.simulation.rendered_flight import RenderedFlight
+from hyperpaint.simulation.flight import RenderedFlight
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane

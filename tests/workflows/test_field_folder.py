@@ -18,7 +18,7 @@ from support.refusals import expect_error, expect_errors, expect_refusals, expec
 import hyperpaint as hp
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.map_grids import read_geotiff_header
-from hyperpaint.surroundings.flags import flag_line, without_scene_flags
+from hyperpaint.surroundings.surveying import flag_line, without_scene_flags
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 from hyperpaint.workflows.field_folder import (
@@ -27,7 +27,7 @@ from hyperpaint.workflows.field_folder import (
     unknown_keys,
     write_collect_toml,
 )
-from hyperpaint.workflows.products import Record
+from hyperpaint.workflows.pipeline import Record
 
 #: A region across the ends of cubes.
 ROOF = hp.Region("roof", [(2, 2), (7, 2), (7, 37), (2, 37)], flightline="raw_0")

@@ -24,7 +24,7 @@ from support.refusals import expect_error, expect_words
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.io.store.raw_references import RawFile
-from hyperpaint.workflows.virtual_store import virtualise
+from hyperpaint.workflows.pipeline import virtualise
 
 GROUP = "flightlines/raw_0"
 SECRET = b"PRIVATE " * 40_000

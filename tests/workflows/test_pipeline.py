@@ -23,8 +23,7 @@ from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.maps import lines_of_store
-from hyperpaint.workflows.pipeline import compare_inputs, run
-from hyperpaint.workflows.products import finishing_command, paths_in
+from hyperpaint.workflows.pipeline import compare_inputs, finishing_command, paths_in, run
 
 
 @pytest.fixture(scope="module")
@@ -347,7 +346,7 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 def test_other_numerics_are_said_and_computed_on_request(
     tiny: Path, radiance_store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("workflows.pipeline", "workflows.products", "io.store.manifest"):
+    for module in ("workflows.pipeline", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
     report = hp.verify(radiance_store)
     assert report.ok

@@ -19,18 +19,19 @@ from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, Schema
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 from hyperpaint.paints import starter_library
+from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.relighting import by_name, factor_spectra
-from hyperpaint.simulation.rendering.scene_record import SceneRecord, TraceSettings
-from hyperpaint.workflows.rendering import export_dirsig_scene, named_libraries
-from hyperpaint.workflows.scene_files import (
+from hyperpaint.simulation.rendering.scene import SceneRecord, TraceSettings
+from hyperpaint.workflows.rendering import (
     SceneFile,
     build_parts,
     chosen_atmospheres,
     example_scene,
+    export_dirsig_scene,
+    named_libraries,
     read_paints,
     read_scene_file,
     read_spectra,

@@ -22,7 +22,7 @@ from support.tiny_collects import without_references
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
 from hyperpaint.cli.info_command import facts_of_path
-from hyperpaint.workflows.virtual_store import virtualise
+from hyperpaint.workflows.pipeline import virtualise
 
 icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
 

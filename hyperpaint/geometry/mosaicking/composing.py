@@ -1,27 +1,348 @@
-"""Mosaic of several flight lines: each cell shows one line, chosen by a rule."""
+"""Mosaic of several flight lines: each cell shows one line, chosen by a rule.
 
-from __future__ import annotations
+Lines are maps on one grid, each cut into the tiles of the mosaic. The extent of a line is surveyed once. Then
+the line is orthorectified over the tiles of the mosaic that it touches, so that no tile is cut again.
 
+Tie points are the same places on the ground in two overlapping lines, found by correlation.
+"""
+
+import contextlib
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from operator import getitem
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from dask._task_spec import convert_legacy_graph, cull
+from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import BAND, Array, Bools, Floats, Ints, Progress, Quality
-from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
-from hyperpaint.geometry.orthorectification.grids import MapGrid, Place, check_cells, tile_array
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    Progress,
+    Quality,
+)
+from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, locate
+from hyperpaint.geometry.orthorectification.mapping import (
+    NORTH,
+    MapGrid,
+    Place,
+    Survey,
+    check_cells,
+    covering,
+    empty_value,
+    in_slabs,
+    line_chunks,
+    needed_slabs,
+    orthorectify,
+    survey_lines,
+    tile_array,
+    tile_windows,
+)
 from hyperpaint.io.store.layout import TILE as STORE_TILE
 
-from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
+_MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
+_WAVELENGTH_TOLERANCE_NM = 1e-6
+_MAP_VARIABLES = ("hits", "gap")  # variables of every map from `orthorectify`
+
+#: The tasks of one tile of one line, run one after another within a task of the mosaic. As separate tasks
+#: they would be shared between neighbouring tiles, and dask would hold the slabs of all lines of a row of
+#: tiles until the row is done: memory would grow with the number of lines. In exchange, a slab is computed
+#: again for every tile that it touches.
+Recipe = Callable[[], Sequence[Array]]
+
+
+@dataclass(frozen=True)
+class Strip:
+    # One line as a map on the grid of the mosaic.
+    name: str
+    map: xr.Dataset  #: Variables (y, x[, band]), lazy, in chunks of the tiles of the mosaic
+    corner: tuple[int, int]  #: Row and column of its first tile
+    touched: Array  #: (tile row, tile column) bool: whether the line covers any cell of a tile
+
+    def covers(self, place: tuple[int, int]) -> bool:
+        # Return whether the map has a tile at an index (row, column) of the mosaic.
+        return all(
+            0 <= k - first < size
+            for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
+        )
+
+    def reaches(self, place: tuple[int, int]) -> bool:
+        # Return whether the line may cover a cell of a tile.
+        return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
+
+    def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
+        row, col = place[0] - self.corner[0], place[1] - self.corner[1]
+        arrays = [self.map[name].data for name in names]
+        keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
+        return partial(dask.get, cull(self._graph, keys), keys)
+
+    @cached_property
+    def _graph(self) -> dict[Any, Any]:
+        merged = HighLevelGraph.merge(*(array.data.dask for array in self.map.data_vars.values()))
+        graph: dict[Any, Any] = convert_legacy_graph(dict(merged))
+        return graph
+
+
+def named_lines(lines: Any) -> dict[str, xr.Dataset]:
+    # Return lines by name, sorted; lines of a sequence are numbered.
+    if isinstance(lines, xr.DataTree):
+        lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
+    SchemaError.raise_if(
+        not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines,
+        f"{type(lines).__name__} is no collection of flight lines",
+        mend="give a dict of datasets by their names",
+        code="type-wrong",
+    )
+    if isinstance(lines, Mapping):
+        return {str(name): lines[name] for name in sorted(lines, key=str)}
+    digits = len(str(len(lines) - 1))
+    return {f"{number:0{digits}}": line for number, line in enumerate(lines)}
+
+
+def is_map(line: xr.Dataset) -> bool:
+    # Return whether a dataset is a map.
+    return {"y", "x"} <= set(line.dims)
+
+
+def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    # Return the lines with ground positions; maps and located lines are returned unchanged.
+    return {
+        name: line if is_map(line) or is_located(line) else locate(line, **location)
+        for name, line in lines.items()
+    }
+
+
+@dataclass(frozen=True)
+class SharedGrid:
+    # The grid of a mosaic, and the part of it that each line covers.
+    grid: MapGrid
+    surveys: dict[str, Survey]  #: Surveys of lines that are not maps yet
+    grids: dict[str, MapGrid]  #: Cells that every line covers
+
+
+def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
+    # Return the grid that covers all lines; surveys the lines (eager) one at a time.
+    #
+    # Raises `SchemaError`: The lines are on different maps; maps have other cells than the mosaic, or are
+    # turned; all are listed.
+    problems = Problems("these lines make no mosaic", SchemaError)
+    crs = {name: _crs(line) for name, line in lines.items()}
+    if len(set(crs.values())) > 1:
+        crs_list = ", ".join(f"{name}: {code}" for name, code in crs.items())
+        problems.add(
+            f"lines on different maps ({crs_list})",
+            mend="give crs=",
+            option="give --set crs=",
+            code="crs-conflict",
+        )
+    surveys = {
+        name: survey_lines(*_positions(line), NORTH, progress)
+        for name, line in lines.items()
+        if not is_map(line)
+    }
+    transforms = {name: _transform(name, line, problems) for name, line in lines.items() if is_map(line)}
+    problems.raise_if_any()
+    # the cell of the first map, else the largest spacing of a line
+    largest = max((survey.gsd for survey in surveys.values()), default=np.nan)
+    size = float(next((transform[1] for transform in transforms.values()), largest) if gsd is None else gsd)
+    axes = NORTH
+    if transforms:
+        # maps of hyperpaint begin at multiples of the cell size, maps of other programs anywhere
+        east, *_, north, _, _ = next(iter(transforms.values()))
+        phase = [coordinate - size * round(coordinate / size) for coordinate in (east, north)]
+        if max(map(abs, phase)) > _MAX_GRID_OFFSET_CELLS * size:
+            axes = type(axes)(axes.right, (phase[0], phase[1]))
+    grids = {name: covering(axes, size, survey.box, whole=False) for name, survey in surveys.items()}
+    for name, transform in transforms.items():
+        col, row = (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
+        max_offset = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
+        problems.add_if(
+            max_offset > _MAX_GRID_OFFSET_CELLS,
+            f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
+            expected=f"cells of {size:.9g} m on the grid of the other lines",
+            mend="orthorectify all lines with one gsd and grid='north', or give the lines",
+            code="grid-mismatch",
+        )
+        shape = lines[name].sizes["y"], lines[name].sizes["x"]
+        grids[name] = MapGrid(axes, size, (round(row), round(col)), shape)
+    problems.raise_if_any()
+    firsts = np.array([grid.first for grid in grids.values()])
+    ends = firsts + [grid.shape for grid in grids.values()]
+    first, end = firsts.min(axis=0).tolist(), ends.max(axis=0).tolist()
+    shape = (end[0] - first[0], end[1] - first[1])
+    return SharedGrid(MapGrid(axes, size, (first[0], first[1]), shape), surveys, grids)
+
+
+def strips_of(
+    lines: Mapping[str, xr.Dataset],
+    shared: SharedGrid,
+    variables: Iterable[str] | None,
+    tile: int,
+    **options: Any,
+) -> list[Strip]:
+    # Return all lines on the grid of the mosaic, cut into its tiles; options as for `orthorectify`.
+    #
+    # Raises `SchemaError`: Lines have other wavelengths, units or types than the first; maps lack ``hits`` or
+    # ``gap``.
+    strips = []
+    for name, line in lines.items():
+        # Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when
+        # another line joins the mosaic, so its rounding does not change either.
+        covered = shared.grids[name]
+        row, col = (first // tile for first in covered.first)
+        end_row, end_col = (
+            -(-(k + count) // tile) for k, count in zip(covered.first, covered.shape, strict=True)
+        )
+        rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
+        if is_map(line):
+            strips.append(_cut_map(name, line, covered, ((row, col), rows, cols), variables))
+            continue
+        line_grid = replace(
+            shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0])
+        )
+        west, _, _, north, _, _ = line_grid.transform
+        bounds = (
+            west,
+            north - line_grid.shape[0] * line_grid.gsd,
+            west + line_grid.shape[1] * line_grid.gsd,
+            north,
+        )
+        orthomap = orthorectify(
+            line, line_grid.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
+        )
+        survey = shared.surveys[name]
+        windows = tile_windows(line_grid.shape, tile)
+        touched = np.zeros((len(windows), len(windows[0])), bool)
+        for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
+            touched[place] = bool(slabs)
+        strips.append(Strip(name, orthomap, (row, col), touched))
+    # the variables of all lines must be those of the first
+    problems = Problems("these lines make no mosaic", SchemaError)
+    first = strips[0]
+    for other in strips[1:]:
+        for variable in first.map.data_vars:
+            first_array, array = first.map[variable], other.map.variables.get(variable)
+            if array is None:
+                problems.add(
+                    f"{other.name} has no {variable}, which {first.name} has",
+                    mend="give variables=",
+                    code="variable-missing",
+                )
+                continue
+            for property_name, found, expected in (
+                ("type", array.dtype, first_array.dtype),
+                ("size", array.shape[2:], first_array.shape[2:]),
+                ("units", array.attrs.get("units"), first_array.attrs.get("units")),
+            ):
+                problems.add_if(
+                    found != expected,
+                    f"{property_name} of {variable} of {other.name} {found}",
+                    expected=f"{expected} of {first.name}",
+                    code="variable-mismatch",
+                )
+        first_wavelength, wavelength = (
+            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
+        )
+        problems.add_if(
+            first_wavelength.shape != wavelength.shape
+            or not np.allclose(first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM),
+            f"wavelengths of {other.name} differ from those of {first.name}",
+            code="wavelength-mismatch",
+        )
+    problems.raise_if_any()
+    return strips
+
+
+def _cut_map(
+    name: str,
+    line: xr.Dataset,
+    map_grid: MapGrid,
+    tiles: tuple[tuple[int, int], list[int], list[int]],
+    variables: Iterable[str] | None,
+) -> Strip:
+    # Cut a map into the tiles of the mosaic, padded to complete tiles.
+    missing = [needed for needed in _MAP_VARIABLES if needed not in line.variables]
+    SchemaError.raise_if(
+        missing,
+        f"the map {name} lacks {', '.join(missing)}",
+        mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+        code="variable-missing",
+    )
+    corner, *edges = tiles
+    pads = [
+        (start - edge[0], edge[-1] - (start + count))
+        for start, count, edge in zip(map_grid.first, map_grid.shape, edges, strict=True)
+    ]
+    sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
+    names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_MAP_VARIABLES, *variables])]
+    cut = {}
+    for variable in (variable_name for variable_name in names if {"y", "x"} <= set(line[variable_name].dims)):
+        array = line[variable].transpose("y", "x", ...)
+        data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
+        if any(map(any, pads)):
+            other_pads = [(0, 0)] * (data.ndim - 2)
+            data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(variable), data.dtype))
+        data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
+        cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
+    band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
+    axis_coordinates = {
+        axis: (axis, np.zeros(sum(size)), line[axis].attrs)
+        for axis, size in zip(("y", "x"), sizes, strict=True)
+    }
+    strip = xr.Dataset(
+        cut, coords={**band_coordinates, **axis_coordinates, **_reference(line)}, attrs=line.attrs
+    )
+    return Strip(name, strip, corner, np.ones([len(size) for size in sizes], bool))
+
+
+def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
+    # Return the value of a cell of a mosaic that no line shows.
+    return dtype.type(0) if name == "hits" else empty_value(name, dtype)
+
+
+def _positions(line: xr.Dataset) -> tuple[da.Array, da.Array]:
+    slabs = line_chunks(line)
+    east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))
+    return in_slabs(east, slabs), in_slabs(north, slabs)
+
+
+def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
+    return {"spatial_ref": line["spatial_ref"].variable} if "spatial_ref" in line.variables else {}
+
+
+def _crs(line: xr.Dataset) -> Any:
+    if not is_map(line):
+        return line["east"].attrs.get("crs")
+    named = line["x"].attrs.get("crs") if "x" in line.coords else None
+    return named or _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("crs_wkt")
+
+
+def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
+    text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
+    numbers = () if text is None else tuple(float(number) for number in str(text).split())
+    problems.add_if(
+        not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0),
+        f"the map {name} has the GeoTransform {text}",
+        expected="square cells with north up",
+        mend="orthorectify with grid='north'",
+        code="grid-turned",
+    )
+    return numbers
+
 
 RULES = ("nadir", "unflagged", "newest")
 # variables that a rule needs of every line
@@ -548,3 +869,282 @@ def _robust_fit(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
         limit = _HUBER_SD * max(1.4826 * float(np.median(residuals)), 1e-6)
         huber_weights = limit / np.maximum(residuals, limit)
     return np.asarray(solution)
+
+
+_CUBE_NAMES = ("counts", "radiance", "reflectance")
+_FIELDS = ("glt_line", "glt_sample", "ground_height")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Thresholds of the search, and their origin."""
+
+    #: Cells from the middle of a patch to its edge: large enough for a few objects, small enough that the
+    #: camera's errors are one shift in it.
+    half_patch: int = 20
+    #: Smallest correlation accepted as the same place. Noise of half the contrast leaves 0.8.
+    min_correlation: float = 0.8
+    #: Largest correlation elsewhere, relative to the best: beyond it the pattern repeats.
+    max_rival: float = 0.9
+    #: Smallest standard deviation of a patch along its flattest direction, relative to its mean.
+    min_texture: float = 0.01
+    max_patches: int = 150  #: patches of a pair of lines, those with the most texture
+    outlier_sd: float = 4.0  #: standard deviations of shifts from a plane through those of a pair
+
+
+TIE_RULES = Rules()
+
+
+class _Picture(NamedTuple):
+    corner: tuple[int, int]
+    image: Floats  #: (row, col); NaN where nothing is shown
+    fields: Floats  #: (field, row, col): of `_FIELDS`
+
+
+@takes_quantities(**LOCATION_UNITS, gsd="m", search_m="m")
+@documented()
+def find_tie_points(
+    lines: Mapping[str, xr.Dataset] | Sequence[xr.Dataset],
+    gsd: float | None = None,
+    *,
+    search_m: float | None = None,
+    band: int | None = None,
+    rules: Rules = TIE_RULES,
+    progress: Progress | None = None,
+    **location: Any,
+) -> xr.Dataset:
+    """Find ground points that two overlapping lines show, for `hyperpaint.geometry.solve_boresight` (eager).
+
+    Parameters
+    ----------
+    lines
+        Flight lines by their names, located or to be located with the options of
+        `hyperpaint.geometry.locate`.
+    gsd
+        Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
+    search_m
+        Largest distance on the map between the two positions of a point [m]; by default 16 cells. It should
+        be less than half the distance at which the ground repeats itself.
+    band
+        Number of the band to compare, of counts, else radiance, else reflectance; by default the middle one.
+    rules
+    progress
+    **location
+
+    Returns
+    -------
+    xarray.Dataset
+        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): position in each of the two lines, in
+        fractions of a pixel from the centre of the first; ``flightline`` (point, side); ``east``, ``north``
+        and ``height`` (point) [m]: ground position by the first line; ``shift`` (point, side): position by
+        the second line minus the first, east and north [m]; ``quality`` (point): correlation, at most 1.
+
+    Raises
+    ------
+    SchemaError
+        Fewer than two lines, maps instead of lines, no cube, or no tie points in the overlaps.
+
+    Notes
+    -----
+    Both lines are resampled bilinearly on one grid with north up. Patches with texture in every direction are
+    searched in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
+    Patterns that repeat within the search, and shifts off a plane through all shifts of a pair, are left out.
+
+    Examples
+    --------
+    >>> from hyperpaint.geometry import locate
+    >>> from hyperpaint.simulation import simulate_line
+    >>> size = dict(lines=400, bands=2, columns=400, swath=6.0, square=0.64)
+    >>> lines = {
+    ...     seed: locate(simulate_line(scene="checkerboard", wobble="calm", seed=seed, **size), ground=160.0)
+    ...     for seed in (0, 1)}
+    >>> ties = find_tie_points(lines, search_m=0.4)
+    >>> ties.sizes["point"] > 30, float(abs(ties["shift"]).max()) < 0.01  # [m]
+    (True, True)
+    """
+    lines_by_name = named_lines(lines)
+    SchemaError.raise_if(
+        len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())),
+        "tie points need two flight lines or more, in the geometry of the camera",
+        code="line-number",
+    )
+    lines_by_name = located_lines(lines_by_name, location)
+    gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd if gsd is None else gsd
+    shared = shared_grid(lines_by_name, gsd, None)
+    pictures = {name: _picture(line, shared.grids[name], gsd, band) for name, line in lines_by_name.items()}
+    reach = 16 if search_m is None else max(1, round(search_m / gsd))
+    pairs = list(itertools.combinations(lines_by_name, 2))
+    rows, names = [], []
+    for count, (first, second) in enumerate(pairs, start=1):
+        ties = _ties_of(pictures[first], pictures[second], reach, rules)
+        rows.append(ties)
+        names += [(first, second)] * len(ties)
+        if progress is not None:
+            progress(count, len(pairs))
+    table = np.concatenate(rows)
+    SchemaError.raise_if(
+        not len(table),
+        f"no tie points between {', '.join(lines_by_name)}",
+        expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
+        mend="give a larger search_m=, another band= or gsd=",
+        code="tie-points-missing",
+    )
+    east, north = shared.grid.axes.anchor
+    row, col, shift_down, shift_right, quality, height = table[:, :6].T
+    pixels = table[:, 6:].reshape(-1, 2, 2)
+    side = ("point", "side")
+    return xr.Dataset(
+        {
+            "along_track_pixel": (side, pixels[:, :, 0]),
+            "cross_track_pixel": (side, pixels[:, :, 1]),
+            "flightline": (side, np.array(names)),
+            "east": ("point", east + (col + 0.5) * gsd, {"units": "m"}),
+            "north": ("point", north - (row + 0.5) * gsd, {"units": "m"}),
+            "height": ("point", height, {"units": "m"}),
+            "shift": (side, np.stack([shift_right, -shift_down], axis=-1) * gsd, {"units": "m"}),
+            "quality": ("point", quality, {"units": "1", "long_name": "Correlation of the two pictures"}),
+        },
+        attrs={"crs": next(iter(lines_by_name.values()))["east"].attrs.get("crs"), "gsd": gsd},
+    )
+
+
+def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Picture:
+    cubes = [name for name in _CUBE_NAMES if name in line.variables and set(line[name].dims) == set(CUBE)]
+    SchemaError.raise_if(
+        not cubes or "ground_height" not in line.variables,
+        "a line has no counts, radiance or reflectance, or no ground_height",
+        mend="locate lines with hyperpaint.geometry.locate before",
+        code="variable-missing",
+    )
+    number = line.sizes[BAND] // 2 if band is None else band
+    image = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
+    names = {name for name in line.data_vars if BAND in line[name].dims}
+    # without index coordinates the map holds positions in the line, also for a crop
+    other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
+    orthomap = orthorectify(
+        line.drop_vars([*names, *other]).assign(picture=image.drop_vars(other, errors="ignore")),
+        gsd,
+        grid="north",
+        variables=["picture", "ground_height"],
+        method="bilinear",
+    )[["picture", *_FIELDS]].compute()
+    return _Picture(
+        grid.first,
+        orthomap["picture"].values.astype(np.float64),
+        np.stack([orthomap[name].values for name in _FIELDS]),
+    )
+
+
+def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:
+    # Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10).
+    half = rules.half_patch
+    low = np.maximum(first_picture.corner, second_picture.corner)
+    high = np.minimum(
+        np.add(first_picture.corner, first_picture.image.shape),
+        np.add(second_picture.corner, second_picture.image.shape),
+    )
+    if (high - low <= 2 * half).any():
+        return np.empty((0, 10))
+    centres = [
+        (row, col)
+        for row in range(low[0] + half, high[0] - half, half)
+        for col in range(low[1] + half, high[1] - half, half)
+    ]
+    textures = np.array([_texture(_window(first_picture, centre, half)) for centre in centres])
+    order = np.argsort(-textures, kind="stable")[: rules.max_patches]
+    ties = []
+    for centre in (centres[k] for k in order if textures[k] > rules.min_texture):
+        shift, quality = _match(
+            _window(first_picture, centre, half), _window(second_picture, centre, half + reach), rules
+        )
+        if quality < rules.min_correlation:
+            continue
+        pixel_first = _fields_at(first_picture, np.array(centre, float))
+        pixel_second = _fields_at(second_picture, np.array(centre) + shift)
+        tie = [*centre, *shift, quality, pixel_first[2], *pixel_first[:2], *pixel_second[:2]]
+        if np.isfinite(tie).all():
+            ties.append(tie)
+    table = np.array(ties, np.float64).reshape(-1, 10)
+    # leave out ties with shifts off a plane through all shifts of the pair
+    is_near = np.ones(len(table), bool)
+    if len(table) < 6:
+        return table
+    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
+    for _ in range(10):
+        plane = np.linalg.lstsq(terms[is_near], table[is_near, 2:4], rcond=None)[0]
+        distance = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
+        limit = rules.outlier_sd * max(float(np.median(distance[is_near])) / 1.1774, 0.05)
+        before, is_near = is_near, distance < limit
+        if is_near.sum() < 6 or (is_near == before).all():
+            break
+    return table[is_near]
+
+
+def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
+    # Return the part of the picture around a cell; NaN beyond the picture.
+    out = np.full((2 * half + 1,) * 2, np.nan)
+    low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
+    begin = [max(k, 0) for k in low]
+    end = [min(k + 2 * half + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
+    if begin[0] < end[0] and begin[1] < end[1]:
+        covered = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
+        out[covered] = picture.image[begin[0] : end[0], begin[1] : end[1]]
+    return out
+
+
+def _texture(patch: Floats) -> float:
+    # Return the root of the smaller eigenvalue of the mean product of gradients, relative to the mean.
+    if np.isnan(patch).any() or not patch.mean() > 0.0:
+        return 0.0
+    down, right = np.gradient(patch / patch.mean())
+    mixed = float((down * right).mean())
+    matrix = np.array([[float((down**2).mean()), mixed], [mixed, float((right**2).mean())]])
+    return float(np.sqrt(max(np.linalg.eigvalsh(matrix)[0], 0.0)))
+
+
+def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
+    # Return the offset of a patch from the middle of a window (rows, columns), and its correlation.
+    from scipy.ndimage import maximum_filter
+    from scipy.signal import fftconvolve
+
+    no_match = np.zeros(2), 0.0
+    is_shown = np.isfinite(window)
+    if is_shown.mean() < 0.25:
+        return no_match
+    size, mean = patch.size, float(window[is_shown].mean())
+    filled = np.where(is_shown, window - mean, 0.0)
+    weights = patch - patch.mean()
+    box = np.ones(patch.shape)
+    sums, squares, counts = (
+        fftconvolve(values, box, "valid") for values in (filled, filled**2, is_shown * 1.0)
+    )
+    spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * mean**2)) * np.linalg.norm(weights)
+    score = fftconvolve(filled, weights[::-1, ::-1], "valid") / spread
+    score[counts < size - 0.5] = -1.0  # only complete patches are compared
+    peak = np.unravel_index(int(np.argmax(score)), score.shape)
+    best, reach = float(score[peak]), score.shape[0] // 2
+    if not all(0 < k < n - 1 for k, n in zip(peak, score.shape, strict=True)):
+        return no_match
+    neighbourhood = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
+    # the highest local maximum other than the peak
+    rivals = np.where(score == maximum_filter(score, 5), score, -1.0)
+    rivals[tuple(peak)] = -1.0
+    if neighbourhood.min() <= -1.0 or float(rivals.max()) > rules.max_rival * best:
+        return no_match
+    # the maximum of the paraboloid through the 3 x 3 values, from the middle one
+    y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
+    terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
+    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, neighbourhood.ravel(), rcond=None)[0]
+    summit = np.zeros(2)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        summit = np.clip(np.linalg.solve(np.array([[2 * aa, ab], [ab, 2 * bb]]), [-a, -b]), -1.0, 1.0)
+    return np.array(peak) - reach + summit, best
+
+
+def _fields_at(picture: _Picture, cell: Array) -> Floats:
+    # Interpolate the fields at a fractional row and column; NaN beyond the picture.
+    from scipy.ndimage import map_coordinates
+
+    position = (cell - picture.corner)[:, None]
+    values = [map_coordinates(values, position, order=1, cval=np.nan)[0] for values in picture.fields]
+    return np.array(values)

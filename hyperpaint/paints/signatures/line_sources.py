@@ -15,9 +15,8 @@ from hyperpaint.base import schema
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Bools, Floats, Ints
-from hyperpaint.geometry.georeference.cameras import directions
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
-from hyperpaint.geometry.georeference.poses import matrices, quaternions
+from hyperpaint.geometry.georeference.locating import directions, matrices, quaternions
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
@@ -29,9 +28,14 @@ from hyperpaint.radiometry.spectral_axis import (
 )
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES, LineErrors, line_errors
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
-from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.surroundings.light_split import has_split, split_of, warn_of_contradiction
+from hyperpaint.regions.polygons import Pixels, lines_of_cells, located_for
+from hyperpaint.surroundings.corrections import (
+    CORRECTIONS,
+    has_split,
+    remove_mirrored_sky,
+    split_of,
+    warn_of_contradiction,
+)
 
 # --- cells of a map as pixels of the flight line -----------------------------------------------------------
 # Nearest resampling repeats some pixels and omits others; statistics count every pixel once.

@@ -1,7 +1,5 @@
 """`propose_regions`: from a flight line to regions of paint, ranked, each with its reasons."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Mapping
@@ -22,14 +20,12 @@ from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
-from hyperpaint.regions.pixels_in_regions import ground_of, renumbered
+from hyperpaint.regions.polygons import ground_of, renumbered
 from hyperpaint.surroundings import SceneModel, survey
-from hyperpaint.surroundings.flags import flag
-from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
-from hyperpaint.surroundings.surveying import to_channels
+from hyperpaint.surroundings.corrections import shadow_side_of, sun_zenith_of
+from hyperpaint.surroundings.surveying import flag, to_channels
 
-from .candidates import Picture, height_model_of, measured, pieces, sunny_lines
-from .cars import Verdict, find_cars, judge_car
+from .cars import Picture, Verdict, find_cars, height_model_of, judge_car, measured, pieces, sunny_lines
 
 #: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))

@@ -14,8 +14,6 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 ``R``; the albedo of the base is ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import MISSING, dataclass, replace
 from typing import Literal, NamedTuple

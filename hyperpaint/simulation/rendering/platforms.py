@@ -18,8 +18,6 @@ nor `hyperpaint.geometry`. A deviation is a sum of sines with random frequencies
 all times and not only at samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -64,7 +64,7 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.light.sky_functions import function_shapes
-from hyperpaint.simulation.atmosphere import BrokenClouds
+from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds, preset_atmosphere
 from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
 from hyperpaint.simulation.transport.mixing import (
@@ -93,11 +93,9 @@ from hyperpaint.simulation.transport.path_codes import (
 from hyperpaint.simulation.transport.paths import Block, Rays, Settings, Sources, trace_lines
 from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
-from .four_curves import Atmosphere, preset_atmosphere
 from .materials import measured_factor
 from .platforms import Platform
-from .scene import Scene
-from .scene_record import LabelTable, SceneRecord, TraceSettings, label_layers, sun_vectors
+from .scene import LabelTable, Scene, SceneRecord, TraceSettings, label_layers, sun_vectors
 from .scene_spectra import MEASURED, Octaves, Spectrum, is_paint, paint_spec, spectrum_of
 
 # --- tracing -----------------------------------------------------------------------------------------------

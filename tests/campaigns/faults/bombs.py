@@ -72,7 +72,7 @@ DOORS: Mapping[str, Door] = {
         (FormatError,),
     ),
     "collect": Door(
-        reader("workflows.laboratory:open_collect"), (CollectError, FormatError, StoreError, TimeError)
+        reader("workflows.collect_check:open_collect"), (CollectError, FormatError, StoreError, TimeError)
     ),
     "info": Door(reader("cli.info_command:describe_path"), (FormatError, StoreError, CollectError)),
     "open-store": Door(reader("io.store:open_store", then=_load), (StoreError,)),
@@ -187,7 +187,7 @@ def warm_up() -> None:
         *(
             "hyperpaint.io.spectrometers.irradiance",
             "hyperpaint.cli.info_command",
-            "hyperpaint.workflows.laboratory",
+            "hyperpaint.workflows.collect_check",
         ),
         *(
             "google_crc32c",

@@ -234,7 +234,7 @@ PARSERS: Mapping[str, Parser] = {
             ("panel.csv", "zenith.txt", "falling.csv"),
             ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
         ),
-        "light-table": (reader("simulation.rendering.four_curves:read_table"), _SCHEMA, ("light.csv",)),
+        "light-table": (reader("simulation.atmosphere:read_table"), _SCHEMA, ("light.csv",)),
         "mesh-obj": (_mesh, _SCHEMA, ("box.obj",)),
         "mesh-ply": (_mesh, _SCHEMA, ("box.ply",)),
         "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),
@@ -246,7 +246,7 @@ PARSERS: Mapping[str, Parser] = {
             _FORMAT,
             ("heights.tif", "tiled.tif", "heights.asc"),
         ),
-        "scene-toml": (reader("workflows.scene_files:read_scene_file"), _FORMAT, ("scene.toml",)),
+        "scene-toml": (reader("workflows.rendering:read_scene_file"), _FORMAT, ("scene.toml",)),
         "dirsig-ems": (
             reader("io.dirsig:open_emissivity"),
             _FORMAT,

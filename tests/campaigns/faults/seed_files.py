@@ -221,7 +221,7 @@ def _write_side_inputs(folder: Path) -> None:
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_bytes(text.encode())
-    from hyperpaint.workflows.scene_files import example_scene
+    from hyperpaint.workflows.rendering import example_scene
 
     (folder / "scene.toml").write_text(example_scene(), encoding="utf-8")
     (folder / "box.ply").write_bytes(_ply())

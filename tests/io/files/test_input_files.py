@@ -78,13 +78,13 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "sweep": (_of("io.flightline.calibration_store", "open_sweep"), ".nc"),
     "open_collect": (hp.open_collect, ".toml"),
     "process": (lambda path: hp.process(path, "never.zarr"), ".toml"),
-    "scene": (_of("workflows.scene_files", "read_scene_file"), ".toml"),
-    "spectra of a scene": (_of("workflows.scene_files", "read_spectra"), ".txt"),
+    "scene": (_of("workflows.rendering", "read_scene_file"), ".toml"),
+    "spectra of a scene": (_of("workflows.rendering", "read_spectra"), ".txt"),
     "regions": (hp.read_regions, ".geojson"),
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
-    "GeoTIFF": (_of("io.maps.map_grids", "read_geotiff_header"), ".tif"),
-    "heights": (_of("io.maps.map_grids", "read_heights"), ".tif"),
-    "light table": (_of("simulation.rendering.four_curves", "read_table"), ".csv"),
+    "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),
+    "heights": (_of("io.maps.rasters", "read_heights"), ".tif"),
+    "light table": (_of("simulation.atmosphere", "read_table"), ".csv"),
     **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
        for suffix in (".obj", ".glb", ".ply")},
     **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix)

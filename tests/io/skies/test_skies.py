@@ -19,7 +19,7 @@ from hyperpaint.light.sky_functions import (
     scattering_cosine,
     zenith_radiance,
 )
-from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.atmosphere import Atmosphere
 
 SUN = 60.0
 ZENITHS, AZIMUTHS = np.arange(5.0, 86.0, 10.0), np.arange(0.0, 181.0, 20.0)

@@ -40,7 +40,7 @@ from hyperpaint.io.store.budget import (
     thread_space,
 )
 from hyperpaint.io.store.computing import disk_needed
-from hyperpaint.workflows import pipeline, products
+from hyperpaint.workflows import pipeline
 
 MIB = 2**20
 Usage = namedtuple("Usage", "total used free")
@@ -326,7 +326,7 @@ def test_process_takes_fewer_threads_and_the_same_bits_come_out(
         threads.append(dask.config.get("num_workers", None))
 
     monkeypatch.setattr(budget, "fit", spy)
-    monkeypatch.setattr(products, "check_room", rehearse)
+    monkeypatch.setattr(pipeline, "check_room", rehearse)
     monkeypatch.setattr(pipeline, "CHUNK_LINES", 64)
     with dask.config.set(num_workers=3):
         wide = hp.process(collect, tmp_path / "wide.zarr", memory_limit="1 GiB")

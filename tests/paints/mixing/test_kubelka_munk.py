@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.mixing.synthetic_paints import (
+from hyperpaint.paints.paint_libraries import (
     Interface,
     absorption_to_scattering,
     thick_layer_reflectance,

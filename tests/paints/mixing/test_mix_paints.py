@@ -12,7 +12,7 @@ from support.library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.mixing.synthetic_paints import (
+from hyperpaint.paints.paint_libraries import (
     Interface,
     absorption_to_scattering,
     thick_layer_reflectance,

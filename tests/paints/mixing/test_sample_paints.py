@@ -8,7 +8,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.mixing.synthetic_paints import draw_variants
+from hyperpaint.paints.paint_libraries import draw_variants
 
 
 def population(count: int = 60, seed: int = 3) -> np.ndarray:

@@ -1,4 +1,4 @@
-r"""Synthetic paints: mixtures, shades, and variants of paints drawn from the spread of their pixels.
+r"""Paint libraries: colours in daylight, search, mixtures, shades, variants, and the starter library.
 
 Mixtures and shades follow Kubelka and Munk's thick layer, and Saunderson's interface above it.
 An opaque layer with absorption K and scattering S per depth reflects
@@ -13,15 +13,24 @@ returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, adds to t
 
 (Saunderson, J. Opt. Soc. Am. 32, 727, 1942). R rises from k1 to 1 with :math:`R_\infty`; the inverse is
 :math:`R_\infty = (R - k_1) / ((1 - k_1) (1 - k_2) + k_2 (R - k_1))`. All quantities are pure numbers.
+
+The starter library has forty synthetic car paints from a few parameters each.
+
+``starter_paints.json`` has a row for every paint: absorption over scattering K/S of its pigments, a constant
+plus edges and bumps (kind, centre [nm], width [nm], height), the roughness of its coat, and the share of the
+light that meets flakes; ``interference`` is the optical thickness [nm] of the film on mica flakes and the
+depth of its modulation. The paints are the catalogue of the simulator, and paints of its families.
 """
 
-from __future__ import annotations
-
 import difflib
+import fnmatch
+import functools
 import json
+import unicodedata
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any, Literal
 
 import numpy as np
@@ -32,8 +41,296 @@ from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE, Array, Bools, Floats
+from hyperpaint.base.schema import (
+    BAND,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    QUANTILE,
+    SIGNATURE,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+)
+from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour, srgb, srgb_hex
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
+
+
+@takes_quantities()
+def paint_colours(paints: xr.Dataset) -> Floats32:
+    """Return the colour of every paint in daylight, (signature, 3), sRGB 0 to 1; NaN without visible bands.
+
+    Bands that are not ``good`` are excluded.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> paints = starter_library(members=0)
+    >>> red = paint_colours(paints.isel(signature=[5]))[0]
+    >>> int(red.argmax()), red.shape
+    (0, (3,))
+    """
+    variables = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
+    values = variables["reflectance"].values
+    if "good" in paints.variables:
+        values = np.where(paints["good"].values.astype(bool), values, np.nan)
+    try:
+        return np.asarray(srgb(values, variables["wavelength"].values), np.float32)
+    except SchemaError:  # fewer than three visible bands
+        return np.full((len(values), 3), np.nan, np.float32)
+
+
+#: Minimum number of common bands of two spectra that are compared.
+MIN_BANDS = 5
+#: Maximum gap that is interpolated, in steps of the samples beside it.
+MAX_GAP_STEPS = 4.0
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
+
+
+@takes_quantities(maximum_angle="rad")
+@documented()
+def search_library(
+    library: xr.Dataset,
+    *,
+    name: str | None = None,
+    colour: str | None = None,
+    like: Any = None,
+    maximum_colour_difference: float | None = None,
+    maximum_angle: float | None = None,
+    limit: int | None = None,
+) -> xr.Dataset:
+    r"""Find paints of a library, the best first.
+
+    Parameters
+    ----------
+    library
+    name
+        Part of a paint's name, or a pattern for the full name with ``*``, ``?`` or ``[...]``. Case is
+        ignored; "grun" and "gruen" find "Grün".
+    colour
+        A word such as "dark red", or sRGB as "#701a20". Paints are sorted by their colour difference from it
+        in daylight.
+    like
+        A spectrum: the name of a paint of the library; a library with one paint; one spectrum from a
+        spectrometer reader; a DataArray with a coordinate ``wavelength``, in nm where it has no units; or
+        numbers, one per band. Paints are sorted by their spectral angle to it.
+    maximum_colour_difference
+        Largest CIEDE2000 difference from ``colour`` [1]; 1 is just visible, 10 is another shade. Needs
+        ``colour``.
+    maximum_angle
+        Largest spectral angle to ``like`` [rad]. Needs ``like``.
+    limit
+        Maximum number of paints.
+
+    Returns
+    -------
+    Dataset
+        The paints that meet every condition, which may be none; sorted by the angle to ``like``, else by the
+        difference from ``colour``, else in the order of the library. With the coordinates
+        ``colour_difference`` [1] and ``spectral_angle`` [rad] (signature).
+
+    Raises
+    ------
+    SchemaError
+        The library lacks variables, an option is out of range, ``like`` is not one spectrum or has fewer than
+        five bands in common with the library, or the library has too few visible bands for colours. All of a
+        kind are listed.
+    UnitsError
+        Units cannot be read.
+
+    Notes
+    -----
+    The spectral angle is
+
+    .. math:: \theta = \arccos \frac{\sum_b x_b y_b}{\sqrt{\sum_b x_b^2 \sum_b y_b^2}}
+
+    over the good bands in which both have a value (Kruse et al., Remote Sens. Environ. 44, 145, 1993); it
+    does not depend on brightness. ``like`` is interpolated to the wavelengths of the library within its
+    range, except across gaps of more than four of its steps. Colours outside of sRGB are clipped to it, as
+    on a screen.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> paints = starter_library(members=0)
+    >>> search_library(paints, colour="red", limit=2)["signature"].values.tolist()
+    ['Synthetic Signal Red', 'Synthetic Lunar Red']
+    >>> search_library(paints, name="*white")["signature"].values.tolist()
+    ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
+    """
+    problems = Problems("the library cannot be searched", SchemaError)
+    for key, value, query, query_value in (
+        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
+        ("maximum_angle", maximum_angle, "like", like),
+    ):
+        problems.add_if(
+            value is not None and query_value is None, f"{key}= needs {query}=", code="argument-missing"
+        )
+        problems.add_if(
+            value is not None and not value >= 0.0,
+            f"{key}={value!r}",
+            expected="0 or more",
+            code="value-out-of-range",
+        )
+    problems.add_if(
+        limit is not None and limit < 1, f"limit={limit!r}", expected="1 or more", code="value-out-of-range"
+    )
+    problems.add_if(
+        name is not None and not name.strip(), "name= is empty", expected="part of a name", code="empty-input"
+    )
+    problems.raise_if_any()
+    variables = schema.require(
+        library, [SIGNATURE, "reflectance", "wavelength"], "a search", LIBRARY_VARIABLES
+    )
+    is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
+    if name is not None:
+        is_match &= [_matches_name(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
+    order = np.arange(is_match.size)
+    coordinates: dict[str, Any] = {}
+    if colour is not None:
+        difference = _colour_differences(library, colour)
+        is_match &= difference <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
+        order = np.argsort(difference, kind="stable")
+        attrs = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
+        coordinates["colour_difference"] = (SIGNATURE, difference, attrs)
+    if like is not None:
+        angle = _angles(library, variables["reflectance"], variables["wavelength"], like)
+        is_match &= angle <= (np.inf if maximum_angle is None else maximum_angle)
+        order = np.argsort(angle, kind="stable")
+        attrs = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
+        coordinates["spectral_angle"] = (SIGNATURE, angle, attrs)
+    order = order[is_match[order]][:limit]
+    return library.assign_coords(coordinates).isel({SIGNATURE: order})
+
+
+# --- names -------------------------------------------------------------------------------------------------
+
+
+def _matches_name(name: str, query: str) -> bool:
+    is_pattern = any(sign in query for sign in "*?[")
+    plain, transcribed = _spellings(name)
+    query_plain, query_transcribed = _spellings(query.strip())
+    # with the last pair "gruen" finds a name written with an umlaut
+    pairs = ((plain, query_plain), (transcribed, query_transcribed), (transcribed, query_plain))
+    return any(fnmatch.fnmatchcase(text, part) if is_pattern else part in text for text, part in pairs)
+
+
+def _spellings(text: str) -> tuple[str, str]:
+    # Text in lower case without accents: umlauts as one letter ("grun"), and transcribed ("gruen")
+    folded = unicodedata.normalize("NFC", text).casefold()
+    plain, transcribed = (
+        "".join(sign for sign in unicodedata.normalize("NFKD", form) if not unicodedata.combining(sign))
+        for form in (folded, folded.translate(_UMLAUTS))
+    )
+    return plain, transcribed
+
+
+# --- colours -----------------------------------------------------------------------------------------------
+
+
+def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
+    # CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour
+    query = lab_of(parse_colour(colour))
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
+    SchemaError.raise_if(
+        len(colours) and not np.isfinite(colours).any(),
+        "no paint of the library has a colour",
+        expected="at least 3 good bands between 380 and 780 nm",
+        code="visible-bands-missing",
+    )
+    difference = ciede2000(lab_of(colours), query)
+    return np.where(np.isfinite(difference), difference, np.inf)
+
+
+# --- spectra -----------------------------------------------------------------------------------------------
+
+
+def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
+    # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
+    nm = np.asarray(wavelength.values, np.float64)
+    spectrum = _one_spectrum(library, like, nm)
+    if "good" in library.variables:
+        spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
+    SchemaError.raise_if(
+        np.isfinite(spectrum).sum() < MIN_BANDS,
+        f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+        f"({nm.min():g} to {nm.max():g} nm)",
+        expected=f"at least {MIN_BANDS}",
+        code="bands-not-shared",
+    )
+    paints = np.asarray(reflectance.values, np.float64)
+    is_common = np.isfinite(paints) & np.isfinite(spectrum)
+    x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
+    usable = (is_common.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
+    # tan(angle / 2) = |x - y| / |x + y| of unit vectors: precise for small angles, unlike the cosine
+    unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+    unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+    difference, total = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
+    return np.where(usable, 2.0 * np.arctan2(difference, total), np.inf)
+
+
+def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
+    # The spectrum `like` at the wavelengths of the library (band,); NaN outside its range
+    if isinstance(like, str):
+        names = [str(name) for name in library[SIGNATURE].values]
+        SchemaError.raise_if(
+            names.count(like) != 1,
+            f"{names.count(like)} paints of the library are named like={like!r:.60}",
+            expected="1",
+            code="paint-ambiguous" if like in names else "paint-unknown",
+        )
+        like = library.isel({SIGNATURE: names.index(like)})
+    if isinstance(like, xr.Dataset):
+        SchemaError.raise_if(
+            "reflectance" not in like.variables,
+            f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
+            expected="reflectance",
+            code="variable-missing",
+        )
+        like = like["reflectance"]
+    if not isinstance(like, xr.DataArray):
+        values = np.asarray(like, np.float64)
+        SchemaError.raise_if(
+            values.shape != nm.shape,
+            f"like= has shape {values.shape}",
+            expected=f"({nm.size},), or a DataArray with wavelengths",
+            code="length-mismatch",
+        )
+        return values
+    spectrum = like.squeeze()
+    SchemaError.raise_if(
+        spectrum.ndim != 1 or "wavelength" not in spectrum.coords,
+        f"like= has dims {like.dims} of sizes {like.shape}",
+        expected="one spectrum with its wavelength",
+        code="dims-wrong",
+    )
+    axis = spectrum["wavelength"]
+    # wavelengths without units are in nm
+    axis = convert(axis, "nm") if "units" in axis.attrs else axis
+    return interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
+
+
+def interpolated(nm: Floats, wavelength: Floats, values: Floats) -> Floats:
+    # Return a spectrum at the wavelengths ``nm``; NaN outside its range and within its gaps.
+    order = np.argsort(wavelength, kind="stable")
+    wavelength, values = wavelength[order], values[order]
+    is_finite = np.isfinite(wavelength) & np.isfinite(values)
+    samples, values = wavelength[is_finite], values[is_finite]
+    if samples.size < 2:
+        return np.full(nm.size, np.nan)
+    interpolated = np.interp(nm, samples, values, left=np.nan, right=np.nan)
+    # detectors differ in their steps: a gap is wide compared with the smaller of the two adjacent steps
+    median_step = np.median(np.diff(wavelength[np.isfinite(wavelength)]))
+    steps = np.diff(samples)
+    # steps before the first and after the last sample are infinite
+    padded = np.pad(steps, 1, constant_values=np.inf)
+    adjacent = np.minimum(padded[:-2], padded[2:])
+    adjacent = np.maximum(np.where(np.isfinite(adjacent), adjacent, 0.0), median_step)
+    step = np.clip(np.searchsorted(samples, nm, side="left") - 1, 0, steps.size - 1)
+    in_gap = (steps > MAX_GAP_STEPS * adjacent)[step] & (nm > samples[step]) & (nm < samples[step + 1])
+    return np.where(in_gap, np.nan, interpolated)
+
 
 # --- a layer of pigments, and the interface above it --------------------------------------------------------
 
@@ -570,7 +867,7 @@ def mix_paints(
     .. math:: q_{mix} = \sum_i c_i s_i q_i \Big/ \sum_i c_i s_i
 
     (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
-    reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.synthetic_paints`. Absorption
+    reflectance through Saunderson's correction, see `hyperpaint.paints.paint_libraries`. Absorption
     dominates: one part of black in nine of white darkens by far more than a tenth. The
     ``specular_reflectance`` of a library is averaged. A band that is NaN in one parent is NaN. Eager.
 
@@ -667,7 +964,7 @@ def shade_paints(
 
     Notes
     -----
-    K/S is multiplied by the depth, see `hyperpaint.paints.mixing.synthetic_paints`. Eager.
+    K/S is multiplied by the depth, see `hyperpaint.paints.paint_libraries`. Eager.
 
     Examples
     --------
@@ -794,3 +1091,174 @@ def _check_name(name: str, subject: str, paint_names: list[str], problems: Probl
         close = difflib.get_close_matches(name, paint_names, 1)
         mend = f"did you mean {close[0]!r}?" if close else ""
         problems.add(f"{subject}: there is no paint {name!r}", mend=mend, code="paint-unknown")
+
+
+#: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
+#: infrared.
+FIRST_NM, LAST_NM, BANDS = 400.0, 1000.0, 272
+
+MAX_MEMBERS = 10_000
+
+#: Transmittance of a coat in both directions near normal, over that of diffuse light, and its reflectance for
+#: diffuse light from inside: for the paints of the catalogue, and exactly for an index of 1.5.
+_CATALOGUE_COAT, _FAMILY_COAT = (0.384, 0.6), (0.4096, 0.5963457597077115)
+
+#: Optical depth of the tinted binder above a flake, over K/S [1].
+_FLAKE_DEPTH = 0.05
+
+#: Mirror reflection of a coat of index 1.5 near normal [1].
+_MIRROR = 0.2**2
+
+#: Standard deviations of the members: amount of pigment (relative), wavelengths of its absorption [nm], and
+#: light on a pixel (relative).
+_PIGMENT_SD, _WAVELENGTH_SD_NM, _LIGHT_SD = 0.08, 0.8, 0.02
+
+
+@takes_quantities(wavelength="nm")
+def starter_library(
+    *, members: int = 24, seed: int = 0, wavelength: npt.ArrayLike | None = None
+) -> xr.Dataset:
+    r"""Return a library of forty synthetic car paints.
+
+    Parameters
+    ----------
+    members
+        Variants of each paint; 0 for none.
+    seed
+        Seed of the variants. The paints themselves are always the same.
+    wavelength
+        Wavelengths of the bands, ascending, 300 to 2500 nm; by default 272 bands from 400 to 1000 nm.
+
+    Returns
+    -------
+    Dataset
+        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without
+        mirrored light (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature,
+        band) of clear coat and flakes around the mirror direction; ``member_reflectance`` (signature,
+        member, band) with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates of the paints:
+        ``finish``, ``colour`` in words, ``srgb`` of the body in daylight, ``family``, ``roughness`` of the
+        coat [1], ``provenance`` ("synthetic"), ``parents`` (the spectrum's name in the simulator) and
+        ``method``.
+
+    Raises
+    ------
+    SchemaError
+        ``members`` or ``wavelength`` is out of range; all are listed.
+
+    Notes
+    -----
+    The spectra are synthetic and the names invented: no paint is the colour of a manufacturer. K/S of a paint
+    consists of a few edges and absorption bands (see `hyperpaint.simulation`); its reflectance follows as
+    that of Kubelka and Munk's thick layer under a coat of index 1.5. In metallic and pearl paints a share of
+    the light meets flakes; their reflectance around the mirror direction belongs to the specular part, so
+    that the body has their dark "flop" colour. Members differ in the amount of pigment, in the wavelengths of
+    its absorption, and in light: standard deviations 8 %, 0.8 nm and 2 %.
+
+    Examples
+    --------
+    >>> paints = starter_library(members=5)
+    >>> paints.member_reflectance.shape, paints.provenance.values[0]
+    ((40, 5, 272), 'synthetic')
+    """
+    nm = np.linspace(FIRST_NM, LAST_NM, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
+    problems = Problems("the starter library cannot be computed", SchemaError)
+    problems.add_if(
+        not 0 <= members <= MAX_MEMBERS,
+        f"members={members!r}",
+        expected=f"0 to {MAX_MEMBERS}",
+        code="value-out-of-range",
+    )
+    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
+        problems.add(
+            f"wavelength={wavelength!r:.40}",
+            expected="one number a band, from 300 to 2500 nm",
+            code="value-out-of-range",
+        )
+    elif not (np.diff(nm) > 0.0).all():
+        problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
+    problems.raise_if_any()
+    specs = _specs()
+    values: dict[str, Array] = {
+        # reflectance of the body between the flakes, without mirrored light
+        "reflectance": np.stack([_reflectance(spec, nm) * (1.0 - spec["flakes"]) for spec in specs]),
+        SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
+    }
+    if members:
+        values["member_reflectance"] = np.stack(
+            [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
+        )
+    bands = xr.Dataset(
+        {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
+        {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
+        {"title": "parameters of pigments, hyperpaint.simulation"},
+    )
+    names = [f"Synthetic {spec['trade_name']}" for spec in specs]
+    parents = [{str(spec["spectrum"]): 1.0} for spec in specs]
+    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
+    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
+    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
+    texts = {
+        name: (SIGNATURE, text_column(swatches if name == "srgb" else [spec[name] for spec in specs]), attrs)
+        for name, attrs in (
+            ("finish", {"long_name": "Finish"}),
+            ("colour", {"long_name": "Colour in words"}),
+            ("srgb", {"long_name": "sRGB of the body in daylight"}),
+            ("family", {"long_name": "Family of pigments"}),
+        )
+    }
+    roughness = np.array([spec["roughness"] for spec in specs])
+    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
+    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
+
+
+@functools.cache
+def _specs() -> list[dict[str, Any]]:
+    specs: list[dict[str, Any]] = json.loads(
+        resources.files(__package__).joinpath("starter_paints.json").read_text(encoding="utf-8")
+    )
+    return specs
+
+
+def _absorption(spec: dict[str, Any], nm: Floats) -> Floats:
+    # K/S (band,) [1]
+    ratio = np.full(nm.size, spec["absorption"])
+    for kind, centre, width, height in spec["absorbers"]:
+        ratio += height * (
+            0.5 * (1.0 + np.tanh((nm - centre) / (2 * width)))
+            if kind == "edge"
+            else np.exp(-0.5 * ((nm - centre) / width) ** 2)
+        )
+    return ratio
+
+
+def _reflectance(spec: dict[str, Any], nm: Floats) -> Floats:
+    # Reflectance of the body between the flakes, without mirrored light (band,) [1]
+    base = thick_layer_reflectance(_absorption(spec, nm))
+    through, inside = _CATALOGUE_COAT if spec["family"] == "catalogue" else _FAMILY_COAT
+    return np.clip(through * base / (1.0 - inside * base), 0.0, 1.0)
+
+
+def _specular(spec: dict[str, Any], nm: Floats) -> Floats:
+    # Reflectance of coat and flakes around the mirror direction (band,) [1]: aluminium with the dip of its
+    # interband transition, in paints of the families seen through the tinted binder
+    metal = 0.92 - 0.01 * (nm - 550.0) / 1000.0 - 0.045 * np.exp(-0.5 * ((nm - 825.0) / 65.0) ** 2)
+    if spec["interference"] is not None:
+        thickness, depth = spec["interference"]
+        metal = metal * (1.0 - depth * np.cos(2.0 * np.pi * thickness / nm) ** 2)
+    if spec["family"] != "catalogue":
+        metal = metal * np.exp(-2.0 * _FLAKE_DEPTH * _absorption(spec, nm))
+    return np.asarray(_MIRROR + (1.0 - _MIRROR) ** 2 * spec["flakes"] * np.clip(metal, 0.0, 1.0))
+
+
+def _variants(spec: dict[str, Any], nm: Floats, count: int, seed: list[int]) -> Floats32:
+    # Variants of a paint (member, band) with other pigment, wavelengths and light
+    interface, draws = Interface(), np.random.default_rng(seed).standard_normal((3, count))
+    pigments, shifts, lights = np.exp(_PIGMENT_SD * draws[0]), draws[1], np.exp(_LIGHT_SD * draws[2])
+    variants = np.empty((count, nm.size), np.float32)
+    for row, pigment, shift, light in zip(
+        variants, pigments, _WAVELENGTH_SD_NM * shifts, lights, strict=True
+    ):
+        layer = np.clip(interface.layer(_reflectance(spec, nm - shift)), 1e-4, 1.0)
+        varied_layer = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
+        row[:] = np.clip(light * interface.outside(varied_layer) * (1.0 - spec["flakes"]), 0.0, 1.0)
+    return variants
