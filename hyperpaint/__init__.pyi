@@ -55,7 +55,7 @@ from .regions import (
 )
 from .simulation import simulate_collect as simulate_collect
 from .validation import validate as validate
-from .workflows.collect_check import open_collect as open_collect
+from .workflows.collects import open_collect as open_collect
 from .workflows.pipeline import process as process
 from .workflows.rendering import render_scene as render_scene
 

@@ -381,7 +381,7 @@ A collect.toml can also name the sweep itself:
     "--relative", is_flag=True, help="Gain without absolute scale, for unknown capture fraction or etendue."
 )
 @takes(
-    "workflows.collect_check:write_calibration",
+    "workflows.collects:write_calibration",
     only=["picture", "overwrite"],
     picture={"help": "Draw lamp lines, residuals, smile and gain (png, pdf ...)."},
 )
@@ -398,7 +398,7 @@ def calibrate(
     """
     out = out or sweep.with_name("calibration.zarr")
     with progress_bar("calibrating") as progress:
-        calibration = workflows.collect_check.write_calibration(
+        calibration = workflows.collects.write_calibration(
             sweep,
             out,
             absolute=not relative,

@@ -1,5 +1,6 @@
 from . import (
     collect_check as collect_check,
+    collects as collects,
     demonstration as demonstration,
     field_day as field_day,
     field_folder as field_folder,

@@ -45,7 +45,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True
     ) -> xr.DataTree:
         # Open all files of the collect; see `hyperpaint.open_collect` for the options and the errors.
-        from .collect_check import open_collect
+        from .collects import open_collect
 
         tree = open_collect(filename_or_obj, need_irradiance=need_irradiance)
         dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())

@@ -96,7 +96,8 @@ from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.surroundings.surveying import flag_line
 
-from .collect_check import opened_collect, refuse_findings
+from .collect_check import refuse_findings
+from .collects import opened_collect
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -72,7 +72,7 @@ DOORS: Mapping[str, Door] = {
         (FormatError,),
     ),
     "collect": Door(
-        reader("workflows.collect_check:open_collect"), (CollectError, FormatError, StoreError, TimeError)
+        reader("workflows.collects:open_collect"), (CollectError, FormatError, StoreError, TimeError)
     ),
     "info": Door(reader("cli.info_command:describe_path"), (FormatError, StoreError, CollectError)),
     "open-store": Door(reader("io.store:open_store", then=_load), (StoreError,)),
