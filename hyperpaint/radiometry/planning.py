@@ -63,8 +63,18 @@ from hyperpaint.light.sky_functions import ClearSky, sunward_gain
 from hyperpaint.light.sun import solar_position
 
 from . import slabs
-from .panels import REFUSED, RULES as PANEL_RULES, Panel, PanelClosure, PanelContext, judge_panels
-from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
+from .panels import (
+    REFUSED,
+    RULES as PANEL_RULES,
+    Panel,
+    PanelClosure,
+    PanelContext,
+    judge_panels,
+    panel_correction,
+    scale_of_factors,
+    usable_panels,
+)
+from .slabs import Plan
 from .stray_light import (
     SHIFT_TIME,
     STRAY_LIGHT,

@@ -11,8 +11,7 @@ from support.laid_panels import Laid, flown_over
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.radiometry.panels import PanelClosure
-from hyperpaint.radiometry.slabs import panel_correction
+from hyperpaint.radiometry.panels import PanelClosure, panel_correction
 
 SEED = 5521
 PANELS = tuple(Laid((first, first + 14), seed=first) for first in (20, 110, 200))
