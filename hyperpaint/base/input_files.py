@@ -23,6 +23,9 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
 _OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
 )
+#: First bytes of a file of outlines by suffix. They are checked because pyogrio and fiona ignore the suffix,
+#: and some formats of theirs open further files.
+VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
 _CHECK_PATH = "check the path"
 _KINDS = {
     stat.S_IFDIR: "a folder",

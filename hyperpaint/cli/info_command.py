@@ -13,7 +13,7 @@ import numpy as np
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
-from hyperpaint.base.input_files import head_of, input_path
+from hyperpaint.base.input_files import VECTOR_FILES, head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
 from hyperpaint.io.store.manifest import store_state
@@ -25,7 +25,6 @@ from hyperpaint.io.store.raw_references import (
     virtual_groups,
 )
 from hyperpaint.io.store.reader import is_zarr, place_of
-from hyperpaint.regions.polygons import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
     counted,

@@ -38,7 +38,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
-from hyperpaint.base.input_files import is_plain_file, open_input, read_limited
+from hyperpaint.base.input_files import VECTOR_FILES, is_plain_file, open_input, read_limited
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Bools, Floats, Ints, numbers_of
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.locating import POSE, locate
@@ -658,10 +658,6 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
 
 # --- polygons of GeoPackage, Shapefile and FlatGeobuf, as GeoJSON ------------------------------------------
 
-
-#: First bytes of a file by suffix. They are checked because pyogrio and fiona ignore the suffix, and some
-#: formats of theirs open further files.
-VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
 
 MAX_VECTOR_FILE_BYTES = 256 * 2**20
 

@@ -17,7 +17,6 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.light.daylight_colours import srgb_hex
-from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
 
 if TYPE_CHECKING:
@@ -220,6 +219,9 @@ def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
     library = dataset.isel({schema.SIGNATURE: slice(_MAX_NAMES)})
     if not _is_small_and_stored(dataset["reflectance"]):
         return []
+    # loads scipy, which `info` of a cube does not need
+    from hyperpaint.paints.paint_libraries import paint_colours
+
     colours = [srgb_hex(colour) for colour in paint_colours(library)]
     counts = [f"n = {count}" for count in library["n"].values] if "n" in library else [""] * len(colours)
     return list(zip(colours, map(str, library[schema.SIGNATURE].values), counts, strict=True))
