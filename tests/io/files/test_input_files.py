@@ -82,8 +82,8 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "spectra of a scene": (_of("workflows.rendering", "read_spectra"), ".txt"),
     "regions": (hp.read_regions, ".geojson"),
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
-    "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),
-    "heights": (_of("io.maps.rasters", "read_heights"), ".tif"),
+    "GeoTIFF": (_of("io.maps.map_grids", "read_geotiff_header"), ".tif"),
+    "heights": (_of("io.maps.map_grids", "read_heights"), ".tif"),
     "light table": (_of("simulation.atmosphere", "read_table"), ".csv"),
     **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
        for suffix in (".obj", ".glb", ".ply")},
