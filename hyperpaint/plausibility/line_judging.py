@@ -227,6 +227,12 @@ _ROWS = (
         refused=False,
     ),
     Kind(
+        "band-jump",
+        "Reflectance of a band differs from that of its neighbours by one factor in all pixels.",
+        "check gain, bands and detector taps of the calibration, and channels of the irradiance record",
+        refused=False,
+    ),
+    Kind(
         "swath-step",
         "Radiance steps at one column, alike in all bands and lines: part of the slit or lens is covered.",
         "leave out the darker columns, or calibrate the gain with this slit",

@@ -65,6 +65,11 @@ class Rules:
     smile_nm, wrong_smile
         Minimum range of a judged smile [nm], and share of it in the scene below which its sign is wrong [1]:
         0.7 to 1.4 for right ones, 0 for scenes without smile, -0.7 to -1.0 for the wrong sign.
+    jump, jump_nm, not_judged_nm, widest_nm
+        Median over the pixels of the logarithm of a band's reflectance over that of its two neighbours from
+        which the band is named [1]; range in which it is judged, and range within it that is not, where
+        wavelengths of camera and record that differ leave the oxygen band [nm]; maximum median spacing of
+        bands [nm]: red edges have 0.15 at 10 nm, and 0.01 at 2 nm.
     step
         Minimum step of the logarithm of radiance between neighbouring columns [1].
     step_colour, step_change, step_part
@@ -100,6 +105,10 @@ class Rules:
     significance: float = 5.0
     smile_nm: float = 0.4
     wrong_smile: float = -0.4
+    jump: float = 0.18
+    jump_nm: tuple[float, float] = (430.0, 880.0)
+    not_judged_nm: tuple[float, float] = (750.0, 775.0)
+    widest_nm: float = 10.0
     step: float = 0.08
     step_colour: float = 0.015
     step_change: float = 0.014
@@ -157,6 +166,7 @@ def judge_product(product: Product) -> Iterator[Verdict]:
     if product.reflectance is not None:
         verdicts, top = _level(product, product.reflectance)
         yield from verdicts
+        yield from _jump(product, product.reflectance)
     if product.divisor >= RULES.multiple and product.divisor.bit_count() == 1:
         low, high = RULES.known_top
         yield Verdict(
@@ -230,6 +240,28 @@ def _slip(product: Product, median: float) -> str:
         else "the gain of the calibration, the exposure time, the bit depth or the irradiance"
     )
     return f": likely {blamed}, by a factor of about {factor:.2g}; known slips of this size: {slips}"
+
+
+def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
+    # Find a band whose reflectance differs from that of its neighbours by the same factor in all pixels.
+    nm, order = np.sort(product.wavelength), np.argsort(product.wavelength)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(np.where(reflectance > 0.0, reflectance, np.nan))[:, order]
+    jumps = logs[:, 1:-1] - 0.5 * (logs[:, :-2] + logs[:, 2:])
+    (first, last), (low, high), centre = RULES.jump_nm, RULES.not_judged_nm, nm[1:-1]
+    is_judged = (centre > first) & (centre < last) & ~((centre > low) & (centre < high))
+    is_judged &= np.isfinite(jumps).mean(axis=(0, 2)) > 0.5
+    if not is_judged.any() or np.median(np.diff(nm)) > RULES.widest_nm:
+        return
+    jump = np.where(is_judged, np.nanmedian(jumps, axis=(0, 2)), 0.0)
+    band = int(np.argmax(np.abs(jump)))
+    yield Verdict(
+        "band-jump",
+        f"reflectance at {centre[band]:.1f} nm is {math.exp(jump[band]):.3g} times that of the neighbouring "
+        "bands in all pixels: a fault of the gain of the calibration, or of the irradiance record's channels",
+        f"bands that differ by less than {100.0 * RULES.jump:.0f} %",
+        abs(jump[band]) < RULES.jump,
+    )
 
 
 def _gain(product: Product) -> Iterator[Verdict]:

@@ -18,7 +18,7 @@ from hyperpaint.report.store_report import line_section
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.pipeline import process
 
-NM, BANDS, COLUMNS = np.linspace(400.0, 1000.0, 60), 60, 40
+NM, BANDS, COLUMNS = np.linspace(400.0, 1000.0, 66), 66, 40
 FINE = np.arange(380.0, 1020.0, 0.5)
 SKY = np.convolve(sum(ClearSky(40.0).irradiance(FINE)), np.hanning(25) / 12.0, "same")
 SHIFT = np.linspace(-1.5, 1.5, COLUMNS) ** 2
@@ -51,6 +51,14 @@ def _blocked(columns: int, share: float, wander: float = 0.0) -> Product:
     product = _product()
     step = np.log(share) + wander * np.cos(np.pi * np.arange(8.0))[:, None, None]
     return product._replace(light=product.light * np.exp(np.where(np.arange(COLUMNS) < columns, 0.0, step)))
+
+
+def _in_bands(bands: slice, factor: float) -> Product:
+    product = _product()
+    assert product.reflectance is not None
+    factors = np.ones((BANDS, 1))
+    factors[bands] = factor
+    return product._replace(reflectance=product.reflectance * factors)
 
 
 def _edge(columns: int) -> Product:
@@ -86,6 +94,11 @@ def _edge(columns: int) -> Product:
         (_product(gain=GAIN * (1.0 + 0.2 * RNG.normal(size=GAIN.shape))), {"gain-pattern"}),
         (_product(shift=-SHIFT), {"smile-sign"}),
         (_product(shift=0.5 * SHIFT), set()),
+        (_in_bands(slice(20, 21), 10.0), {"band-jump"}),
+        (_in_bands(slice(None, None, 2), 0.8), {"band-jump"}),
+        (_in_bands(slice(20, None), 1.6), {"band-jump"}),
+        (_in_bands(slice(39, 40), 0.7), set()),  # in the oxygen band
+        (_in_bands(slice(20, 21), 1.15), set()),
         (_blocked(17, 0.5), {"swath-step"}),
         (_blocked(30, 0.88), {"swath-step"}),
         (_blocked(17, 0.3, wander=0.07), {"swath-step"}),
