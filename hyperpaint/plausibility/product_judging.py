@@ -65,11 +65,13 @@ class Rules:
     smile_nm, wrong_smile
         Minimum range of a judged smile [nm], and share of it in the scene below which its sign is wrong [1]:
         0.7 to 1.4 for right ones, 0 for scenes without smile, -0.7 to -1.0 for the wrong sign.
-    jump, jump_nm, not_judged_nm, widest_nm
+    jump, jump_nm, not_judged_nm
         Median over the pixels of the logarithm of a band's reflectance over that of its two neighbours from
         which the band is named [1]; range in which it is judged, and range within it that is not, where
-        wavelengths of camera and record that differ leave the oxygen band [nm]; maximum median spacing of
-        bands [nm]: red edges have 0.15 at 10 nm, and 0.01 at 2 nm.
+        wavelengths of camera and record that differ leave the oxygen band [nm].
+    usual_nm, widest_nm
+        Median spacing of bands [nm] above which the limit increases with its square, as red edges do (0.15 at
+        10 nm, 0.01 at 2 nm), and above which no band is judged.
     step
         Minimum step of the logarithm of radiance between neighbouring columns [1].
     step_colour, step_change, step_part
@@ -108,7 +110,8 @@ class Rules:
     jump: float = 0.18
     jump_nm: tuple[float, float] = (430.0, 880.0)
     not_judged_nm: tuple[float, float] = (750.0, 775.0)
-    widest_nm: float = 10.0
+    usual_nm: float = 10.0
+    widest_nm: float = 16.0
     step: float = 0.08
     step_colour: float = 0.015
     step_change: float = 0.014
@@ -251,16 +254,18 @@ def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
     (first, last), (low, high), centre = RULES.jump_nm, RULES.not_judged_nm, nm[1:-1]
     is_judged = (centre > first) & (centre < last) & ~((centre > low) & (centre < high))
     is_judged &= np.isfinite(jumps).mean(axis=(0, 2)) > 0.5
-    if not is_judged.any() or np.median(np.diff(nm)) > RULES.widest_nm:
+    spacing = float(np.median(np.diff(nm)))
+    if not is_judged.any() or spacing > RULES.widest_nm:
         return
+    limit = RULES.jump * max(1.0, spacing / RULES.usual_nm) ** 2
     jump = np.where(is_judged, np.nanmedian(jumps, axis=(0, 2)), 0.0)
     band = int(np.argmax(np.abs(jump)))
     yield Verdict(
         "band-jump",
         f"reflectance at {centre[band]:.1f} nm is {math.exp(jump[band]):.3g} times that of the neighbouring "
         "bands in all pixels: a fault of the gain of the calibration, or of the irradiance record's channels",
-        f"bands that differ by less than {100.0 * RULES.jump:.0f} %",
-        abs(jump[band]) < RULES.jump,
+        f"bands that differ by less than {100.0 * limit:.0f} %",
+        abs(jump[band]) < limit,
     )
 
 
