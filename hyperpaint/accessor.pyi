@@ -16,7 +16,7 @@ import xarray as xr
 
 from hyperpaint.alignment.comparison import Window
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.schema import Progress, Quality
+from hyperpaint.base.schema import ArrayLike, Progress, Quality
 from hyperpaint.geometry.georeference.locating import Interpolation, PinholeCamera
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
@@ -156,7 +156,7 @@ class PaintAccessor:
         along_track: Place = slice(None),
         cross_track: Place = slice(None),
         *,
-        wavelength: npt.ArrayLike | None = None,
+        wavelength: ArrayLike | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`."""
@@ -166,7 +166,7 @@ class PaintAccessor:
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
     ) -> PaintDataset:
         """Smooth ``reflectance`` over the bands."""
-    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataset:
+    def at(self, wavelength: ArrayLike, *, dims: Dims | None = None) -> PaintDataset:
         """Return the bands nearest to one or several wavelengths."""
     def to_nominal(self, *, dims: Dims | None = None) -> PaintDataset:
         """Return spectra interpolated to the nominal wavelengths: the smile is removed."""
@@ -387,7 +387,7 @@ class PaintArrayAccessor:
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
     ) -> PaintDataArray:
         """Smooth ``reflectance`` over the bands."""
-    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
+    def at(self, wavelength: ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
         """Return the bands nearest to one or several wavelengths."""
     def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
         """Return spectra interpolated to the nominal wavelengths: the smile is removed."""
