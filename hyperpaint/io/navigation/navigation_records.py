@@ -1274,7 +1274,7 @@ class _Log:
     def take(self, fields: list[str]) -> None:
         try:
             self._take(fields)
-        except (ValueError, LookupError):
+        except (ValueError, LookupError, OverflowError):
             self.problems.add_if(
                 len(self.problems) < 5,
                 f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183",
@@ -1332,6 +1332,8 @@ class _Log:
 
     def _date(self, clock: str, year: int, month: int, day: int) -> None:
         days = int(self._record_seconds(clock) // _DAY_S)
+        if not 1980 <= year < 2200:  # nanoseconds overflow, or a receiver without a fix writes its epoch
+            raise ValueError(year)
         date = dt.date(year, month, day)  # refuses days that do not exist
         if self.first_day is None:
             midnight = int(np.datetime64(date, "ns").astype(np.int64))

@@ -622,6 +622,8 @@ ZDA = "GPZDA,115959.00,01,06,2024,00,00"
     [
         ((gga("120000.00"),), TimeError, "date-missing"),
         ((ZDA, gga("120000.00", "4399.0000,X,07736.0000,W")), FormatError, "row-unreadable"),
+        ((ZDA.replace("2024", "9999"), gga("120000.00")), FormatError, "row-unreadable"),
+        ((ZDA.replace("01,06", f"01,{10**20}"), gga("120000.00")), FormatError, "row-unreadable"),
         ((ZDA,), FormatError, "position-missing"),
         ((ZDA, gga("120000.00", "9930.0000,N,07736.0000,W")), FormatError, "latitude is 99.5"),
     ],
