@@ -95,7 +95,7 @@ def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
   {look}or in Python:
     import xarray as xr, hyperpaint as hp
     line = xr.open_zarr("{store}", group="flightlines/raw_0").paint.reflectance()
-    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))
+    paints = line.paint.flag().paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))
     print(paints.reflectance.swap_dims(band="wavelength").isel(signature=0).to_series())""")
     if not comparison.ok:
         ctx.exit(FAILED_CHECK)

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from support.commands import hyperpaint
 
+from hyperpaint.base.errors import PaintWarning
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,6 +48,7 @@ def run(home: Path, language: str, text: str) -> str:
     heredoc = re.fullmatch(r"python - <<'PY'\n(.*)^PY\n", text, re.M | re.S)
     with contextlib.chdir(home), contextlib.redirect_stdout(printed), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a process prints them
+        warnings.simplefilter("error", PaintWarning)  # the first lines of a new user need no warning
         if heredoc or language == "python":
             exec(compile(heredoc[1] if heredoc else text, "block", "exec"), {"__name__": "__main__"})
         else:
