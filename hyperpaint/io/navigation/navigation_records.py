@@ -1201,17 +1201,20 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     log, damaged, total = _Log(path), 0, 0
     for match in _SENTENCE.finditer(text):
         total += 1
-        if reduce(xor, match[1].encode("latin-1")) != int(match[2], 16):
+        sentence, checksum = match.groups()
+        if reduce(xor, sentence.encode("latin-1")) != int(checksum, 16):
             damaged += 1
             continue
-        log.take(match[1].split(","))
-        FormatError.raise_if(
-            len(log.rows) > _MAX_POSITIONS,
-            f"{path}: over {_MAX_POSITIONS} positions",
-            expected="a log of hours",
-            mend="shorten the log to the flight",
-            code="file-too-large",
-        )
+        log.take(sentence.split(","))
+        if len(log.rows) > _MAX_POSITIONS:
+            break
+    FormatError.raise_if(
+        len(log.rows) > _MAX_POSITIONS,
+        f"{path}: over {_MAX_POSITIONS} positions",
+        expected="a log of hours",
+        mend="shorten the log to the flight",
+        code="file-too-large",
+    )
     wrong_checksums = f"{damaged} of {total} sentences have a wrong checksum"
     FormatError.raise_if(
         damaged > _MAX_DAMAGED_SHARE * total,
@@ -1323,7 +1326,8 @@ class _Log:
         match = _CLOCK.fullmatch(clock)
         if match is None:
             raise ValueError(clock)
-        seconds_of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
+        hours, minutes, seconds = match.groups()
+        seconds_of_day = int(hours) * 3600.0 + int(minutes) * 60.0 + float(seconds)
         if self._last_seconds is None:
             self._last_seconds = seconds_of_day
         # some sentences are late: choose the day that is nearest to the previous sentence
@@ -1331,13 +1335,13 @@ class _Log:
         return round(self._last_seconds, 9)
 
     def _date(self, clock: str, year: int, month: int, day: int) -> None:
-        days = int(self._record_seconds(clock) // _DAY_S)
+        seconds = self._record_seconds(clock)
         if not 1980 <= year < 2200:  # nanoseconds overflow, or a receiver without a fix writes its epoch
             raise ValueError(year)
         date = dt.date(year, month, day)  # refuses days that do not exist
         if self.first_day is None:
             midnight = int(np.datetime64(date, "ns").astype(np.int64))
-            self.first_day = midnight - days * _DAY_S * NS_PER_S
+            self.first_day = midnight - int(seconds // _DAY_S) * _DAY_S * NS_PER_S
 
 
 def _angle(text: str) -> float:
