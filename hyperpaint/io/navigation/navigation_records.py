@@ -1269,6 +1269,7 @@ class _Log:
         self.first_day: int | None = None  # 0 h of the first day [ns since 1970-01-01]
         self.problems = Problems(f"{path} cannot be used as a log of NMEA sentences", FormatError)
         self._last_seconds: float | None = None  # of the previous sentence with a time
+        self._last_clock = ""
         self._heading_ahead: float | None = None  # for the next position
         self._is_heading_first = False  # whether the heading precedes its position
         # attitudes of positions that follow, by seconds
@@ -1323,6 +1324,8 @@ class _Log:
 
     def _record_seconds(self, clock: str) -> float:
         # Return seconds from 0 h of the first row's day.
+        if clock == self._last_clock:  # sentences of one epoch have the same
+            return round(self._last_seconds or 0.0, 9)
         match = _CLOCK.fullmatch(clock)
         if match is None:
             raise ValueError(clock)
@@ -1332,6 +1335,7 @@ class _Log:
             self._last_seconds = seconds_of_day
         # some sentences are late: choose the day that is nearest to the previous sentence
         self._last_seconds += (seconds_of_day - self._last_seconds + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
+        self._last_clock = clock
         return round(self._last_seconds, 9)
 
     def _date(self, clock: str, year: int, month: int, day: int) -> None:
