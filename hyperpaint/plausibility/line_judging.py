@@ -228,7 +228,7 @@ _ROWS = (
     ),
     Kind(
         "band-jump",
-        "Reflectance of a band differs from that of its neighbours by one factor in all pixels.",
+        "Reflectance of a band differs from that of its neighbours by about one factor in most pixels.",
         "check gain, bands and detector taps of the calibration, and channels of the irradiance record",
         refused=False,
     ),

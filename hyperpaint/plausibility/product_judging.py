@@ -246,7 +246,7 @@ def _slip(product: Product, median: float) -> str:
 
 
 def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
-    # Find a band whose reflectance differs from that of its neighbours by the same factor in all pixels.
+    # Find a band whose reflectance differs from that of its neighbours by about one factor in most pixels.
     nm, order = np.sort(product.wavelength), np.argsort(product.wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(np.where(reflectance > 0.0, reflectance, np.nan))[:, order]
@@ -263,7 +263,7 @@ def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
     yield Verdict(
         "band-jump",
         f"reflectance at {centre[band]:.1f} nm is {math.exp(jump[band]):.3g} times that of the neighbouring "
-        "bands in all pixels: a fault of the gain of the calibration, or of the irradiance record's channels",
+        "bands in most pixels: a fault of the calibration's gain, or of the irradiance record's channels",
         f"bands that differ by less than {100.0 * limit:.0f} %",
         abs(jump[band]) < limit,
     )

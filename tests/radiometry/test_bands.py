@@ -80,6 +80,13 @@ def test_detectors_in_one_cube_are_interpolated_apart(detectors: tuple[range, ..
         assert float(error.max()) < 3e-3
 
 
+def test_gaps_between_pairs_of_bands_are_no_disorder() -> None:
+    dataset, _ = smiling(1)
+    nm = 500.0 + 100.0 * np.repeat(np.arange(8), 2)[:13] + 2.0 * (np.arange(13) % 2)
+    pairs = dataset.assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    np.testing.assert_array_equal(to_nominal(pairs).reflectance[0, :, 1], pairs.reflectance[0, :, 1])
+
+
 def test_at_takes_the_nearest_bands_of_any_axis() -> None:
     nm = np.array([400.0, 700.0, 690.0, 1000.0, 550.0])
     dataset = xr.Dataset(
