@@ -22,7 +22,8 @@ from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInp
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, RECORD
 from hyperpaint.light.sky_functions import ClearSky
-from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
+from hyperpaint.radiometry.darks import SAME_EXPOSURE_SHARE, darks_of_lines
+from hyperpaint.radiometry.planning import has_white, light_level
 
 from .product_judging import Product, judge_product
 

@@ -57,6 +57,7 @@ from hyperpaint.io.store.reader import is_zarr, open_unverified
 from hyperpaint.light.illumination import UNSTABLE_CHANGE, Tilt, replace_record
 
 from . import slabs
+from .darks import SAME_EXPOSURE_SHARE, darks_of_lines
 from .panels import (
     CLOSURE,
     Panel,
@@ -69,9 +70,7 @@ from .panels import (
 )
 from .planning import (
     COUNTED,
-    SAME_EXPOSURE_SHARE,
     cube_inputs,
-    darks_of_lines,
     has_white,
     lazy_plan,
     make_plan,

@@ -34,13 +34,12 @@ from hyperpaint.base.schema import (
     Array,
     Bools,
     Floats,
-    Ints,
-    Times,
     label,
     require,
 )
 
 from . import slabs
+from .slabs import PanelClosure
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
@@ -125,24 +124,6 @@ class PanelContext(NamedTuple):
     good: Bools  # (band,)
     u: Floats  # (band,) relative standard uncertainty of gain and irradiance together [1]
     has_scale: bool  # Whether the gain is absolute
-
-
-class PanelClosure(NamedTuple):
-    # Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,).
-    scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
-    factor: Floats  # Measured over expected [1]
-    u: Floats  # Combined standard uncertainty of the factor [1]
-    mean_u: Floats  # Relative standard uncertainty of the mean over pixels [1]
-    used: Floats  # Share of pixels used [1]
-    state: Array
-    time: Times
-    reasons: tuple[str, ...]  # Reason of the refusal of a panel; empty if not refused
-
-    def at(self, indices: Ints) -> PanelClosure:
-        # Return the results of the panels at indices.
-        arrays: list[Any] = [*self[:-1]]
-        reasons = tuple(self.reasons[k] for k in indices)
-        return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
 def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:

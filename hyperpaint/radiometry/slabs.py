@@ -9,7 +9,7 @@ import functools
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import dask.array as da
 import numpy as np
@@ -18,7 +18,7 @@ import xarray as xr
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, Array, Floats, Quality
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, Array, Floats, Ints, Quality, Times
 from hyperpaint.kernels.arguments import (
     Calibration,
     DetectorModel,
@@ -33,8 +33,23 @@ from hyperpaint.kernels.arguments import (
 )
 from hyperpaint.light.illumination import LineLight, Smile
 
-if TYPE_CHECKING:
-    from .panels import PanelClosure
+
+class PanelClosure(NamedTuple):
+    # Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,).
+    scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
+    factor: Floats  # Measured over expected [1]
+    u: Floats  # Combined standard uncertainty of the factor [1]
+    mean_u: Floats  # Relative standard uncertainty of the mean over pixels [1]
+    used: Floats  # Share of pixels used [1]
+    state: Array
+    time: Times
+    reasons: tuple[str, ...]  # Reason of the refusal of a panel; empty if not refused
+
+    def at(self, indices: Ints) -> "PanelClosure":
+        # Return the results of the panels at indices.
+        arrays: list[Any] = [*self[:-1]]
+        reasons = tuple(self.reasons[k] for k in indices)
+        return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
 def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
@@ -83,7 +98,7 @@ class Plan:
     detector: DetectorModel  #: Detector effects that are corrected
     stray: StrayLight | None = None  #: Light of other bands, which is subtracted; None without stray light
     error_terms: ErrorTerms | None = None  #: None where uncertainties are not requested
-    closure: "PanelClosure | None" = None  #: Results of panels; None without panels
+    closure: PanelClosure | None = None  #: Results of panels; None without panels
     panel_weights: Floats | None = None  #: (line, panel): weights of several panels; otherwise None
     #: (line,) relative standard uncertainty of the scale by panels; None without panels
     panel_u: Floats | None = None

@@ -43,6 +43,7 @@ from hyperpaint.base.schema import (
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, line_light, matched_noise
 from hyperpaint.radiometry import slabs
+from hyperpaint.radiometry.darks import dark_weights
 from hyperpaint.radiometry.spectral_axis import NominalAxis
 from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
@@ -373,8 +374,6 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
 
 
 def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
-    from hyperpaint.radiometry.planning import dark_weights
-
     shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
     attrs = line[UNCERTAINTIES[1]].attrs
 
