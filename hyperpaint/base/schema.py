@@ -250,6 +250,7 @@ _LINE_TABLE = (
     Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
     Variable("quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue", alternatives=(_ELEMENT,)),
     Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a source band that scatters into another band"),
+    Variable("stray_light_across", (CROSS_TRACK, "source_column"), "1", "float64", "Share of the light of a source column that scatters into another column"),
     # --- lamp lines that a calibration was computed from
     Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
     Variable("line_band", _LINE_FIT, "1", "float64", "Band at the centre of a monochromatic line"),
@@ -753,6 +754,7 @@ _CALIBRATION_VARIABLES = (
     "masked",
     "linear_counts",
     "stray_light",
+    "stray_light_across",
     "band_shift_time",
     "srf",
 )

@@ -21,7 +21,7 @@ def without_empty_arrays(group: Group) -> Group:
 
     Examples
     --------
-    >>> without_empty_arrays(StrayLight(*[np.empty(0)] * 5, np.float32(0.1))).band_terms is None
+    >>> without_empty_arrays(StrayTerms(np.empty(0), np.ones((4, 4)))).out is None
     True
     """
     is_empty = (isinstance(member, np.ndarray) and member.size == 0 for member in group)
@@ -58,13 +58,19 @@ class Calibration(NamedTuple):
     detector: DetectorModel
 
 
+class StrayTerms(NamedTuple):
+    # Scattered light per light of its sources, the matrix product ``out @ source``, or ``source`` alone.
+    out: Array | None  #: (band or column, term) float32; a multiple of four terms
+    source: Array  #: (term, band or column) float32; sources padded with zeros to a multiple of four
+
+
 class StrayLight(NamedTuple):
-    # Light of other bands in linear counts above dark: smear, and the product ``band_terms @ source_terms``.
+    # Light of other bands and columns in linear counts above dark: smear and scattered light.
     #
-    # The product applies to the counts without smear. Smear is proportional to counts as read. Scattered
-    # light is proportional to the light before the detector, hence the ``level`` of each element.
-    band_terms: Array  #: (band, term) float32; a multiple of four terms
-    source_terms: Array  #: (term, band) float32; bands padded with zeros to a multiple of four
+    # Smear is proportional to counts as read. Scattered light is that of the counts without smear, and is
+    # proportional to the light before the detector, hence the ``level`` of each element.
+    bands: StrayTerms | None  #: from band to band; None without
+    columns: StrayTerms | None  #: from column to column, before that from band to band; None without
     smear: Array  #: (line,) float32: share of the sum of all bands [1]
     #: (n, 3) int64: column and band of a bad element, and the band whose counts it gets; -1 to set it to 0
     replacements: Array

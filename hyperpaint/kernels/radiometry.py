@@ -35,6 +35,7 @@ from .arguments import (
     Rounding,
     SlabOutputs,
     StrayLight,
+    StrayTerms,
 )
 
 _NAN = np.float32(np.nan)
@@ -890,16 +891,6 @@ _BLOCK_COLUMNS = 128
 _NO_LIMIT = np.float32(np.inf)
 
 
-# Buffers of `sum_line`.
-class StrayWork(NamedTuple):
-    total: Array  #: (column,) float32: smear of a line [count]
-    #: block (band, column), sums (term, column) float32: counts of `_BLOCK_COLUMNS` columns, and their sums
-    #: over the bands; contiguous, because rows at a distance of a power of two evict one another from the
-    #: cache
-    block: Array
-    sums: Array
-
-
 @borrowing_kernel
 def net_line(
     counts: Array, line: Any, dark: Array, detector: DetectorModel, linear: LinearMemory | None, net: Array
@@ -928,15 +919,16 @@ def replace_bad(net: Array, replacements: Array) -> None:
         net[band, x] = net[source, x] if source >= 0 else _NOTHING
 
 
-@borrowing_kernel
-def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
-    # Write the counts of a line (band, column) that come from other bands [count].
+@kernel
+def sum_line(
+    net: Array, stray: StrayLight, across: StrayTerms | None, smear: Any, total: Array, out: Array
+) -> None:
+    # Write the counts of a line (band, column) that come from other bands and columns [count].
     #
-    # First the smear, a share of the sum over the bands; then, from the counts without smear, the product of
-    # two narrow matrices. Terms are summed four at a time in the order of the bands, so the bits do not
-    # depend on the number of columns.
+    # First the smear ``total`` (column,), a share of the sum over the bands; then, of the counts without
+    # smear, which are written to ``net``, the light scattered between columns and that between bands.
+    # ``across`` is ``stray.columns``.
     bands, columns = out.shape
-    total, block, sums = work.total, work.block, work.sums
     total[:] = _NOTHING
     if smear != _NOTHING:
         for band in range(bands):
@@ -944,19 +936,56 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
                 total[x] += net[band, x]
         for x in range(columns):
             total[x] *= smear
+    for band in range(bands):
+        for x in range(columns):
+            net[band, x] = (net[band, x] - total[x]) * stray.level[band, x]
+    if across is not None:
+        sideways = np.empty((columns, bands), np.float32)
+        scatter(net.T, across, sideways)
+        for band in range(bands):
+            for x in range(columns):
+                net[band, x] -= sideways[x, band]
+    scatter(net, stray.bands, out)
+    if across is not None:
+        for band in range(bands):
+            for x in range(columns):
+                out[band, x] += sideways[x, band]
+    for band in range(bands):
+        for x in range(columns):
+            out[band, x] = out[band, x] / stray.level[band, x] + total[x]
+
+
+@kernel
+def scatter(light: Array, terms: StrayTerms | None, out: Array) -> None:
+    # Write the part of ``light`` (row, column) that is scattered into each row; 0 without terms.
+    if terms is None:
+        out[:] = _NOTHING
+    else:
+        multiply(light, terms.source, terms.out, out)
+
+
+@kernel
+def multiply(light: Array, source_terms: Array, out_terms: Array | None, out: Array) -> None:
+    # Write ``out_terms @ source_terms @ light``; ``source_terms @ light`` without ``out_terms``.
+    #
+    # Terms are summed four at a time in the order of the rows, so the bits do not depend on the number of
+    # columns. Rows of zeros pad the block to a multiple of four.
+    rows, columns = light.shape
+    terms = source_terms.shape[0]
+    block = np.zeros((source_terms.shape[1], _BLOCK_COLUMNS), np.float32)
+    sums = np.empty((terms, _BLOCK_COLUMNS), np.float32)
     for first in range(0, columns, _BLOCK_COLUMNS):
         width = min(_BLOCK_COLUMNS, columns - first)
-        for band in range(bands):
+        for row in range(rows):
             for x in range(width):
-                column = first + x
-                block[band, x] = (net[band, column] - total[column]) * stray.level[band, column]
-        for term in range(stray.source_terms.shape[0]):
-            sum_rows(block, stray.source_terms[term], sums[term])
-        for band in range(bands):
-            row = block[band]
-            sum_rows(sums, stray.band_terms[band], row)
-            for x in range(width):
-                out[band, first + x] = row[x] / stray.level[band, first + x] + total[first + x]
+                block[row, x] = light[row, first + x]
+        for term in range(terms):
+            sum_rows(block, source_terms[term], sums[term])
+        for row in range(rows):
+            if out_terms is None:
+                out[row, first : first + width] = sums[row, :width]
+            else:
+                sum_rows(sums, out_terms[row], out[row, first : first + width])
 
 
 @borrowing_kernel
@@ -1005,12 +1034,7 @@ def subtract_stray_light(
     linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
     net = np.empty((n_band, n_column), np.float32)
     stray_counts = np.empty((n_band, n_column), np.float32)
-    # rows of zeros pad the bands to a multiple of four
-    memory = StrayWork(
-        np.empty(n_column, np.float32),
-        np.zeros((max(stray.source_terms.shape[1], n_band), _BLOCK_COLUMNS), np.float32),
-        np.zeros((stray.source_terms.shape[0], _BLOCK_COLUMNS), np.float32),
-    )
+    total = np.empty(n_column, np.float32)
     irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
     for line in range(n_line):
         dark = dark_of_line(
@@ -1025,7 +1049,7 @@ def subtract_stray_light(
         straighten_dark(detector, dark, linear)
         net_line(counts, line, dark, detector, linear, net)
         replace_bad(net, stray.replacements)
-        sum_line(net, stray, stray.smear[line], memory, stray_counts)
+        sum_line(net, stray, stray.columns, stray.smear[line], total, stray_counts)
         for band in range(n_band):
             light_row(light, light.shift, (line, band), irradiance, inverse)
             subtract_row(

@@ -75,6 +75,7 @@ from .panels import (
 )
 from .slabs import PanelClosure, Plan
 from .stray_light import (
+    FLAT,
     SHIFT_TIME,
     STRAY_LIGHT,
     TABLE,
@@ -325,7 +326,7 @@ def make_plan(
 
 def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
     problems = Problems("this line cannot be calibrated", SchemaError)
-    for name in ("dark_counts", "radiance_gain"):
+    for name in ("dark_counts", "radiance_gain", FLAT):
         problems.add_if(
             name in cube and np.shape(cube[name])[-2:] != shape[1:],
             f"{name!r} has shape {np.shape(cube.get(name, 0.0))}",
@@ -363,7 +364,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
         code="saturation-implausible",
     )
     _linearity(cube).check(problems, _highest_count(cube))
-    check_stray_light(cube, shape[1], exposure, problems)
+    check_stray_light(cube, *shape[1:], exposure, problems)
     problems.raise_if_any()
 
 

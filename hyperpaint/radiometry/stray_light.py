@@ -1,9 +1,10 @@
 r"""Stray light and smear between the bands of a column, and their removal.
 
-Counts above dark, made linear, are :math:`s = (1 + \epsilon 1 1^T)(1 + D)\,c`: scattered light, D (band,
-source band) of a lab sweep, and the smear of a detector whose frames are shifted during exposure, where a
-band receives :math:`\epsilon = t_{shift} / t` of each other band. Both are inverted as sums over all bands, D
-by its largest singular values, because scattered light is smooth.
+Counts above dark, made linear, are :math:`s = (1 + \epsilon 1 1^T)(1 + D)\,c\,(1 + E)^T`: light scattered
+between bands, D (band, source band) of a lab sweep, and between columns, E (column, source column), and the
+smear of a detector whose frames are shifted during exposure, where a band receives
+:math:`\epsilon = t_{shift} / t` of each other band. All are inverted as sums over bands or columns, D and E
+by their largest singular values where few suffice, because scattered light is smooth.
 
 Linearity of the detector: a polynomial or a table from raw counts to counts proportional to light.
 
@@ -18,10 +19,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import Array, Floats, Ints, require
-from hyperpaint.kernels.arguments import DetectorModel, StrayLight
+from hyperpaint.kernels.arguments import DetectorModel, StrayLight, StrayTerms
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
@@ -153,12 +154,20 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
 
 # --- linearity ---------------------------------------------------------------------------------------------
 
-#: Variables that declare stray light and smear.
-STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
+#: Variables that declare stray light and smear, and the levels of elements.
+STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME, ACROSS, FLAT = (
+    "stray_light", "stray_light_u", "band_shift_time", "stray_light_across", "flat_field",
+)  # fmt: skip
 #: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
 MAX_ROW_SUM = 10.0
 #: Largest share of a frame's light that is smear [1]: bands times shift time over exposure.
 MAX_SMEAR_SHARE = 0.5
+#: Largest factor between the response of an element and the trend of its band by which levels are fitted [1].
+MAX_LEVEL = 1.5
+#: Steps of the robust fit of levels: least absolute deviations, then least squares without outliers.
+_LEVEL_STEPS = 20
+#: Smallest and largest residual by which levels are weighted, in the logarithm and in standard deviations.
+_LEAST_RESIDUAL, _OUTLIER_SD = 1e-6, 5.0
 #: Largest row sum of absolute values of the truncated terms of D [1]. They alternate in sign, so that smooth
 #: spectra lose a hundredth of that.
 MAX_TRUNCATED = 3e-4
@@ -188,20 +197,21 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
     return np.asarray(inverse)
 
 
-def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, problems: Problems) -> None:
+def check_stray_light(
+    cube: Mapping[str, Any], bands: int, columns: int, exposure: Floats, problems: Problems
+) -> None:
     # Add problems of stray light that does not fit the bands of a cube, or is too large to subtract.
-    shape = np.shape(cube[STRAY]) if STRAY in cube else (bands, bands)
-    shifted_bands = cube.get("shifted_bands") or bands
-    for is_valid, found in (
-        (shape == (bands, bands), f"{STRAY!r} has {shape[1]} bands, this line {bands}"),
-        (shifted_bands == bands, f"{SHIFT_TIME!r} belongs to {shifted_bands} bands, this line has {bands}"),
+    for name, axis, declared, size in (
+        (STRAY, "bands", np.shape(cube.get(STRAY, 0.0)), bands),
+        (SHIFT_TIME, "bands", (cube.get("shifted_bands") or bands,), bands),
+        (ACROSS, "columns", np.shape(cube.get(ACROSS, 0.0)), columns),
     ):
-        if not is_valid:
-            problems.add(
-                found,
-                mend="select bands after computing reflectance, or drop the variable",
-                code="bands-selected",
-            )
+        problems.add_if(
+            set(declared) - {size},
+            f"{name!r} belongs to {max(declared, default=0)} {axis}, this line has {size}",
+            mend=f"select {axis} after computing reflectance, or drop the variable",
+            code=f"{axis}-selected",
+        )
     relative = float(cube.get(STRAY_U, 0.0))
     problems.add_if(
         not 0.0 <= relative < 1.0,
@@ -224,19 +234,11 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
     #
     # ``exposure`` (line,) [s]; ``gain`` (band, column), NaN for bad elements, which are replaced by the
     # nearest good band of their column; ``masked`` (n, 2): band and column of elements that receive no light.
-    if STRAY not in cube and SHIFT_TIME not in cube:
+    #
+    # Warns `PaintWarning`: Elements respond unlike their neighbours.
+    if not {STRAY, SHIFT_TIME, ACROSS} & set(cube):
         return None
-    bands = len(gain)
-    band_terms, source_terms = np.zeros((bands, 0)), np.zeros((0, bands))
-    if STRAY in cube:
-        # `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of the fewest sufficient terms
-        residual = np.eye(bands) - inverse_of(np.asarray(cube[STRAY], np.float64), STRAY)
-        left, size, right = np.linalg.svd(residual)
-        for term in range(len(size) + 1):
-            if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
-                break
-            residual -= np.outer(left[:, term] * size[term], right[term])
-        band_terms, source_terms = left[:, :term] * size[:term], right[:term]
+    level = np.array(cube[FLAT], np.float64) if FLAT in cube else _levels(gain)
     # column, band and replacement band of every bad element; -1 without a replacement
     is_bad, is_masked = np.isnan(gain), np.zeros(gain.shape, bool)
     is_masked[tuple(masked.T)] = True
@@ -246,24 +248,73 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
         if good_bands.size and not is_masked[band, column]:
             nearest = int(good_bands[np.argmin(np.abs(good_bands - band))])
         replacements.append((column, band, nearest))
-    # gains relative to their trend along the columns, a parabola, which is caused by smile, and so belongs to
-    # the light
-    position = np.linspace(-1.0, 1.0, gain.shape[1])
-    terms = np.stack([np.ones_like(position), position, position * position], axis=1)
-    level = np.ones(gain.shape)
-    for row, values in zip(level, gain.astype(np.float64), strict=True):
-        is_finite = np.isfinite(values)
-        if is_finite.sum() > terms.shape[1]:
-            trend = terms @ np.linalg.lstsq(terms[is_finite], values[is_finite], rcond=None)[0]
-            row[is_finite] = (values / trend)[is_finite]
+        level[band, column] = level[nearest, column]
     return StrayLight(
-        _padded(band_terms, 1),
-        _padded(_padded(source_terms, 0), 1),
-        smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, bands).astype(np.float32),
+        _terms(cube, STRAY),
+        _terms(cube, ACROSS),
+        smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, len(gain)).astype(np.float32),
         np.array(replacements, np.int64).reshape(-1, 3),
         np.asarray(np.where(level > 0.0, level, 1.0), np.float32),
         np.float32(cube.get(STRAY_U, 0.0)),
     )
+
+
+def _levels(gain: Array) -> Floats:
+    # Return gains (band, column) relative to their trend along the columns, a parabola, which is caused by
+    # smile, and so belongs to the light; NaN for bad elements.
+    #
+    # The parabola is fitted to logarithms by least absolute deviations, in weighted steps, and then by least
+    # squares without outliers, so that weak elements do not change it. Elements far off the medians of their
+    # band and column are left out of the first fits: many beside one another would bend the parabola.
+    position = np.linspace(-1.0, 1.0, gain.shape[1])
+    terms = position[:, None] ** np.arange(3)
+    is_finite = np.isfinite(gain)
+    values = np.log(np.where(is_finite, gain, 1.0).astype(np.float64))
+    values -= _row_medians(values, is_finite)
+    residual = values - _row_medians(values.T, is_finite.T).T
+    is_fitted = is_finite & (np.abs(residual) <= np.log(MAX_LEVEL))
+    weight = is_fitted.astype(np.float64)
+    for step in range(_LEVEL_STEPS):
+        normal = np.einsum("bx,xi,xj->bij", weight, terms, terms)
+        moments = np.einsum("bx,xi,bx->bi", weight, terms, values)
+        residual = values - np.einsum("bij,bj,xi->bx", np.linalg.pinv(normal, 1e-10), moments, terms)
+        size = np.abs(residual)
+        if step < _LEVEL_STEPS - 2:
+            weight = is_fitted / np.maximum(size, _LEAST_RESIDUAL)
+        else:
+            limit = _OUTLIER_SD * 1.4826 * _row_medians(size, is_finite) + _LEAST_RESIDUAL
+            weight = (is_finite & (size <= limit)).astype(np.float64)
+    n_weak = np.count_nonzero(is_finite & (np.abs(residual) > np.log(MAX_LEVEL)))
+    if n_weak:
+        warn_user(
+            f"{n_weak} elements respond over {MAX_LEVEL:g} times less or more than their neighbours: they do "
+            "not enter the fitted levels of elements by which stray light is subtracted; mark dead elements "
+            "by a gain of NaN, or declare flat_field",
+            "elements-weak",
+        )
+    return np.where(is_finite, np.exp(residual), np.nan)
+
+
+def _row_medians(values: Floats, used: Array) -> Floats:
+    # Return the medians of rows over the used values, or over all where none is used (row, 1).
+    is_counted = used | ~used.any(axis=1, keepdims=True)
+    return np.asarray(np.nanmedian(np.where(is_counted, values, np.nan), axis=1, keepdims=True))
+
+
+def _terms(cube: Mapping[str, Any], name: str) -> StrayTerms | None:
+    # Return `1 - (1 + D)^{-1}` of a declared matrix as a product (out, term), (term, source), of the fewest
+    # sufficient terms, or unchanged where these would need more sums; None where not declared.
+    if name not in cube:
+        return None
+    matrix = np.asarray(cube[name], np.float64)
+    share = np.eye(len(matrix)) - inverse_of(matrix, name)
+    left, size, right = np.linalg.svd(share)
+    residual = share.copy()
+    for term in range(len(size) // 2):
+        if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
+            return StrayTerms(_padded(left[:, :term] * size[:term], 1), _padded(_padded(right[:term], 0), 1))
+        residual -= np.outer(left[:, term] * size[term], right[term])
+    return StrayTerms(None, _padded(share, 1))
 
 
 def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
@@ -279,6 +330,7 @@ def described(cube: Mapping[Any, Any]) -> str | None:
     # Return the description of the subtracted light for an attribute; None for nothing.
     descriptions = {
         STRAY: "scattered light by the matrix of the calibration",
+        ACROSS: "light scattered between columns",
         SHIFT_TIME: "smear by the time in which a frame is shifted",
     }
     return ", ".join(text for name, text in descriptions.items() if name in cube) or None

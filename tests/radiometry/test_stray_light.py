@@ -1,5 +1,6 @@
 """Light that bands count of others: against plain numpy, over chunks, through a sweep that holds it."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import xarray as xr
 from support.refusals import expect_errors
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
 from hyperpaint.simulation import simulate_line, simulate_sweep
@@ -121,6 +122,59 @@ def test_bad_elements_stray_as_their_neighbours_and_saturated_ones_as_they_are(l
     np.testing.assert_allclose(made[~missing], expected[~missing], rtol=1e-2, atol=2e-4)
 
 
+@pytest.mark.filterwarnings("ignore:.*elements-weak")
+@pytest.mark.parametrize("columns", [slice(20, 21), slice(0, 1), slice(0, 20)], ids=["one", "edge", "many"])
+@pytest.mark.parametrize("share", [0.5, 0.1, 0.01])
+def test_weak_elements_change_no_other_column(line: xr.Dataset, columns: slice, share: float) -> None:
+    response = np.ones((BANDS, 64))
+    response[::3, columns] = share
+    seen = with_knowledge(seen_by(line, wings(BANDS), 0.0), wings(BANDS), 0.0)
+    net = (seen.counts.transpose(..., "band", "cross_track").values - seen.dark_counts.values) * response
+    weak = seen.assign(
+        counts=(("along_track", "band", "cross_track"), net + seen.dark_counts.values, seen.counts.attrs),
+        radiance_gain=seen.radiance_gain.copy(data=seen.radiance_gain.values / response),
+    )
+    expected, made = (each.paint.radiance().radiance.values for each in (line, weak))
+    error = np.abs(made / expected - 1.0)
+    assert np.delete(error, columns, axis=2).max() < 2e-3
+    assert error.max() < 1e-2
+
+
+def test_weak_elements_are_named(line: xr.Dataset) -> None:
+    gain = line.radiance_gain.values.copy()
+    gain[7, 3] *= 5.0
+    seen = with_knowledge(line, wings(BANDS), 0.0).assign(radiance_gain=line.radiance_gain.copy(data=gain))
+    with pytest.warns(PaintWarning, match=r"^1 elements.*elements-weak"):
+        seen.paint.radiance().radiance.compute()
+    flat = (("band", "cross_track"), np.ones(gain.shape), {"units": "1"})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*elements-weak")
+        seen.assign(flat_field=flat).paint.radiance().radiance.compute()
+
+
+@pytest.mark.parametrize("terms", ["few", "all"])
+def test_light_between_columns_is_undone(line: xr.Dataset, terms: str) -> None:
+    near = np.abs(np.subtract.outer(np.arange(64), np.arange(64)))
+    across = np.exp(-near / 8.0) if terms == "few" else np.where(near == 2, 1.0, 0.0)
+    across *= 0.02 / across.sum(axis=0).max()
+    counts, dark = seen_by(line, wings(BANDS), 0.0).counts, line.dark_counts.values
+    net = counts.transpose(..., "band", "cross_track").values.astype(float) - dark
+    cube = (net + np.einsum("xs,lbs->lbx", across, net) + dark).astype(np.float32)
+    variable = (("cross_track", "source_column"), across, {"units": "1"})
+    seen = line.assign(counts=(("along_track", "band", "cross_track"), cube, counts.attrs))
+    seen = with_knowledge(seen, wings(BANDS), 0.0, 0.1).assign(stray_light_across=variable)
+    made = seen.paint.reflectance(uncertainty=True).compute()
+    expected = line.paint.reflectance().reflectance.values
+    assert "between columns" in made.reflectance.stray_light_applied
+    np.testing.assert_allclose(made.reflectance.values, expected, rtol=1e-4, atol=1e-5)
+    for lines in (1, 5):
+        part = seen.chunk(along_track=lines).paint.reflectance(uncertainty=True)
+        for name in ("reflectance", "reflectance_u_systematic"):
+            np.testing.assert_array_equal(part[name].values, made[name].values)
+    with pytest.raises(SchemaError, match="columns-selected"):
+        seen.isel(cross_track=slice(3, 9)).paint.radiance().compute()
+
+
 def test_masked_elements_see_no_light_of_others() -> None:
     gain = np.ones((4, 3), np.float32)
     gain[1, 0] = gain[:, 2] = np.nan
@@ -137,11 +191,14 @@ def test_few_terms_stand_for_all() -> None:
         {"stray_light": matrix}, np.ones(1), np.ones((272, 2), np.float32), np.empty((0, 2), int)
     )
     assert stray is not None
-    rest = (stray.band_terms.astype(float) @ stray.source_terms.astype(float)[:, :272]) - (
+    terms = stray.bands
+    assert terms is not None
+    assert terms.out is not None
+    rest = (terms.out.astype(float) @ terms.source.astype(float)[:, :272]) - (
         np.eye(272) - inverse_of(matrix, "stray_light")
     )
     assert np.abs(rest).sum(axis=1).max() < 4e-4
-    assert stray.source_terms.shape[0] < 100
+    assert terms.source.shape[0] < 100
 
 
 @pytest.mark.parametrize(

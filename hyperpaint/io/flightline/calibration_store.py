@@ -289,6 +289,7 @@ _SWEEP_RESULTS = (
     "linear_counts",
     "linearity_u",
     "stray_light",
+    "stray_light_across",
     "stray_light_u",
     "band_shift_time",
     "step_wavelength",
@@ -513,7 +514,6 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "dark_exposure_time",
         "dark_bias",
         "dark_rate",
-        "flat_field",  # part of the gain
         "responsivity",
         "saturation_count",
     }
@@ -525,14 +525,14 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "irradiance_wavelength",
         "linearity_counts",
         "source_band",
+        "source_column",
     }
-    names = [
-        str(name)
-        for name, array in calibration.data_vars.items()
-        if name not in excluded and set(array.dims) <= line_dims
-    ]
+    names = [str(name) for name, array in calibration.data_vars.items() if set(array.dims) <= line_dims]
     if float(calibration.get("stray_light_u", 0.0)) >= MAX_STRAY_LIGHT_U:
         names = [name for name in names if not name.startswith("stray_light")]
+    if not {"stray_light", "stray_light_across"} & set(names):
+        excluded.add("flat_field")  # part of the gain; stray light needs the levels of elements
+    names = [name for name in names if name not in excluded]
     if not is_counts:
         names = [name for name in names if name in ("srf", "look_angle")]
     return {name: calibration[name].reset_coords(drop=True) for name in names}

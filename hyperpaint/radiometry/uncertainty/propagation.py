@@ -45,7 +45,7 @@ from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, 
 from hyperpaint.radiometry import slabs
 from hyperpaint.radiometry.darks import dark_weights
 from hyperpaint.radiometry.spectral_axis import NominalAxis
-from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
+from hyperpaint.radiometry.stray_light import ACROSS, SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
 NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (
@@ -426,7 +426,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 def _stray_light_errors(line: xr.Dataset) -> Floats | None:
     names = [name for name in STRAY_LIGHT if name in line.variables]
-    if STRAY_U not in names or len(names) < 2:
+    if STRAY_U not in names or not {STRAY, SHIFT_TIME, ACROSS} & set(names):
         return None
     arrays = require(line, [*names, "exposure_time"], "errors of stray light")
     bands = line.sizes[BAND]
@@ -435,6 +435,8 @@ def _stray_light_errors(line: xr.Dataset) -> Floats | None:
         shares += arrays[STRAY].values
     if SHIFT_TIME in arrays:
         shares += float(arrays[SHIFT_TIME]) / float(np.mean(arrays["exposure_time"].values))
+    if ACROSS in arrays:  # columns beside a column are about as bright
+        shares += np.eye(bands) * float(arrays[ACROSS].values.sum(axis=1).mean())
     return np.asarray(float(arrays[STRAY_U]) * shares)
 
 
