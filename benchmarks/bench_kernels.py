@@ -83,7 +83,9 @@ class Calibrate:
     def time_pedestal(self, lines):
         plan = self.plans[False]
         masked = np.argwhere(np.broadcast_to(np.arange(COLUMNS) < 8, (BANDS, COLUMNS)))
-        self.plans[False] = dataclasses.replace(plan, detector=plan.detector._replace(masked=masked))
+        self.plans[False] = dataclasses.replace(
+            plan, detector=plan.detector._replace(masked=masked, groups=np.array([[0, len(masked), -1, 0]]))
+        )
         self._run(smile=False, quality=self.quality)
         self.plans[False] = plan
 

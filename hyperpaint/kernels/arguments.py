@@ -41,9 +41,12 @@ class DetectorModel(NamedTuple):
     #: first_node [count], nodes_per_count, float32: position of the nodes
     first_node: Any
     nodes_per_count: Any
-    #: (0 or n, 2) int64: band and column of elements without light; their mean counts above dark are the
-    #: pedestal of a line
+    #: (0 or n, 2) int64: band and column of elements without light, group by group
     masked: Array
+    #: (0 or n, 4) int64: of each group, whose counts above dark are a pedestal: first and last-plus-one
+    #: element in `masked`; 0 for the pedestal of a band, 1 of a column, -1 of a line; its band or column
+    groups: Array
+    is_median: Any  #: bool: pedestals are medians, not means
     on_raw: Any  #: bool: the curve applies to raw counts and to the dark, not to their difference
 
 

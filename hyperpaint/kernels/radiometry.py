@@ -572,6 +572,7 @@ def dark_of_line(
     dark: Array,
     index: Array | None,
     weight: Array | None,
+    detector: DetectorModel,
     masked: Array | None,
     line: Any,
     blended: Array,
@@ -584,7 +585,8 @@ def dark_of_line(
         blend(dark[index[line]], dark[index[line] + 1], weight[line], blended)
         line_dark = blended
     if masked is not None:
-        raise_dark(pedestal_of(counts, line_dark, masked), line_dark, blended)
+        blended[:] = line_dark
+        add_pedestals(counts, detector, blended)
         line_dark = blended
     return line_dark
 
@@ -711,6 +713,7 @@ def calibrate_slab(
             calibration.dark,
             calibration.dark_index,
             calibration.dark_weight,
+            detector,
             detector.masked,
             line,
             line_dark,
@@ -740,41 +743,51 @@ def calibrate_slab(
             flag_line(counts[line], limits, floor, tally, flags, flags.lines[line], out.quality[line])
 
 
-# --- pedestal of a line: mean counts above dark of masked elements -----------------------------------------
+# --- pedestals of a line: counts above dark of masked elements ---------------------------------------------
 
 
 # Masked elements farther from the mean are left out as cosmic rays [standard deviations].
 _FAR_SD = 5.0
 
 
-@borrowing_kernel
-def pedestal_of(counts: Array, dark: Array, masked: Array) -> Any:
-    # Return the mean of counts less dark (band, column) over ``masked`` elements (n, 2) [count], float32.
+@kernel
+def add_pedestals(counts: Array, detector: DetectorModel, dark: Array) -> None:
+    # Add the pedestals of a line of counts (band, column) to its ``dark``, group after group.
     #
-    # Computed twice; the second time without elements over `_FAR_SD` standard deviations from the first mean.
-    # 0 where no count is finite.
+    # A pedestal is the median or mean of the finite counts less dark of a group, 0 without any.
+    masked, groups = detector.masked, detector.groups
+    values = np.empty(masked.shape[0], np.float64)
+    for group in range(groups.shape[0]):
+        count = 0
+        for k in range(groups[group, 0], groups[group, 1]):
+            above = float(counts[masked[k, 0], masked[k, 1]]) - float(dark[masked[k, 0], masked[k, 1]])
+            if abs(above) < np.inf:
+                values[count] = above
+                count += 1
+        if count == 0:
+            continue
+        pedestal = np.float32(np.median(values[:count]) if detector.is_median else near_mean(values[:count]))
+        axis, index = groups[group, 2], groups[group, 3]
+        for band in range(index, index + 1) if axis == 0 else range(dark.shape[0]):
+            for x in range(index, index + 1) if axis == 1 else range(dark.shape[1]):
+                dark[band, x] += pedestal
+
+
+@borrowing_kernel
+def near_mean(values: Array) -> Any:
+    # Return the mean without values over `_FAR_SD` standard deviations from the mean of all.
     mean, limit = 0.0, np.inf
     for _ in range(2):
         count, total, squares = 0, 0.0, 0.0
-        for k in range(masked.shape[0]):
-            excess = float(counts[masked[k, 0], masked[k, 1]]) - float(dark[masked[k, 0], masked[k, 1]])
-            if abs(excess - mean) <= limit:
+        for value in values:
+            if abs(value - mean) <= limit:
                 count += 1
-                total += excess - mean
-                squares += (excess - mean) ** 2
-        if count == 0:
-            return np.float32(mean)
+                total += value - mean
+                squares += (value - mean) ** 2
         shift = total / count
         mean += shift
         limit = _FAR_SD * np.sqrt(max(squares / count - shift * shift, 0.0)) + 1e-9
-    return np.float32(mean)
-
-
-@borrowing_kernel
-def raise_dark(pedestal: Any, dark: Array, out: Array) -> None:
-    for band in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            out[band, x] = dark[band, x] + pedestal
+    return mean
 
 
 # --- quality flags of raw counts, combined over the bands of a line ----------------------------------------
@@ -1042,6 +1055,7 @@ def subtract_stray_light(
             calibration.dark,
             calibration.dark_index,
             calibration.dark_weight,
+            detector,
             detector.masked,
             line,
             blended_dark,

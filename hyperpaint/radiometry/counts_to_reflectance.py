@@ -878,7 +878,11 @@ def applied(values: dict[str, Any]) -> dict[str, str | None]:
     if linearity is not None:
         attributes["linearity_applied"] = linearity.described(TABLE[0] in values)
     if "masked" in values:
-        attributes["pedestal_applied"] = "mean of the masked elements of each line, beyond their dark"
+        part, statistic = values["pedestal"]
+        each = "line" if part == "line" else f"{part} of each line"
+        attributes["pedestal_applied"] = (
+            f"{statistic} of the masked elements of each {each}, beyond their dark"
+        )
     attributes["stray_light_applied"] = described(values)
     return attributes
 

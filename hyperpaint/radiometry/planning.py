@@ -82,6 +82,8 @@ from .stray_light import (
     Linearity,
     check_stray_light,
     declared_linearity,
+    declared_pedestal,
+    pedestal_of,
     stray_light_of,
 )
 from .uncertainty.propagation import error_terms, uncertainty_inputs
@@ -250,15 +252,17 @@ def make_plan(
     dark_weight = np.zeros(lines, np.float32)
     if is_from_counts:
         dark, dark_index, dark_weight = darks_of_lines(cube, exposure)
-    masked = _masked(cube, dark)
+    is_masked, usable = _masked(cube, dark), np.asarray(np.isfinite(dark).all(axis=0))
+    pedestal = pedestal_of(is_masked, usable, cube.get("pedestal") or declared_pedestal({}))
+    masked = np.argwhere(is_masked & usable)
     gain = np.ones((bands, columns), np.float32)
     if is_from_counts:
         gain = np.array(cube["radiance_gain"], np.float32)
-        gain[tuple(masked.T)] = np.nan
+        gain[is_masked] = np.nan
         gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
     is_bad = np.isnan(gain)
     is_lit = good[:, None] & np.ones_like(is_bad)
-    is_lit[tuple(masked.T)] = False  # masked elements are not bad
+    is_lit[is_masked & usable] = False  # masked elements are not bad
     bad_share = (is_bad & is_lit).sum(axis=0) / np.maximum(is_lit.sum(axis=0), 1)
     # flags of whole lines, and the light of each
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
@@ -296,7 +300,7 @@ def make_plan(
         darks = np.shape(cube.get("dark_counts", 0.0))
         weights_by_dark = dark_weights(cube, darks[0] if len(darks) == 3 else 1, exposure)
         dark_share = float(np.sqrt((weights_by_dark**2).sum(axis=1)).max(initial=0.0))
-        terms = error_terms(uncertain, cube, light, dtype, is_bad, len(masked), dark_share)
+        terms = error_terms(uncertain, cube, light, dtype, is_bad, pedestal.elements, dark_share)
     return Plan(
         dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
         dark_index=dark_index,
@@ -318,7 +322,9 @@ def make_plan(
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
-        detector=_linearity(cube).detector_model(_highest_count(cube))._replace(masked=masked),
+        detector=_linearity(cube)
+        .detector_model(_highest_count(cube))
+        ._replace(masked=pedestal.masked, groups=pedestal.groups, is_median=pedestal.is_median),
         stray=stray_light_of(cube, exposure, gain, masked) if is_from_counts else None,
         error_terms=terms,
     )
@@ -378,16 +384,15 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    # Return band and column of masked elements with finite darks (n, 2) int64.
-    # `masked` is (column,), (band, 1) or (band, column).
-    is_masked = np.asarray(cube.get("masked", False), bool) & np.isfinite(dark).all(axis=0)
-    if "masked" in cube and not is_masked.any():
+    # Return the masked elements (band, column); `masked` is (column,), (band, 1) or (band, column).
+    is_masked = np.broadcast_to(np.asarray(cube.get("masked", False), bool), dark.shape[1:])
+    if "masked" in cube and not (is_masked & np.isfinite(dark).all(axis=0)).any():
         warn_user(
             "'masked' is declared, but this part of the line has no masked element: no pedestal is "
             "subtracted; compute reflectance of the whole line before cutting it",
             "masked-missing",
         )
-    return np.argwhere(is_masked).astype(np.int64)
+    return is_masked
 
 
 def _highest_count(cube: Mapping[str, Any]) -> float:
@@ -834,6 +839,8 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
         values["radiance_gain"] = values.pop(WHITE_GAIN)
     if is_from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
+    if "masked" in values:
+        values["pedestal"] = declared_pedestal(dataset.attrs)
     if SHIFT_TIME in values:
         values["shifted_bands"] = dataset[SHIFT_TIME].attrs.get("bands")
     return cube, values

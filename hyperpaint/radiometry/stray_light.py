@@ -14,7 +14,7 @@ amplifier and converter, which process light and dark, are nonlinear, or the det
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -33,9 +33,81 @@ MAX_KERNEL_TERMS = 4
 TABLE_NODES = 8192
 #: Range of a table below 0, as a share of the highest count [1], which covers dark noise.
 BELOW_DARK_SHARE = 1.0 / 16.0
-_NO_MASKED_ELEMENTS = np.empty((0, 2), np.int64)
 #: End of the curve [count] if the calibration has no saturation count.
 DEFAULT_HIGHEST_COUNT = 65535.0
+
+
+class Pedestal(NamedTuple):
+    # Pedestals of a line; ``masked``, ``groups`` and ``is_median`` as of `DetectorModel`.
+    masked: Ints
+    groups: Ints
+    is_median: Any
+    elements: float  #: Number of masked elements whose mean is as noisy as the pedestal; 0 without a pedestal
+
+
+NO_PEDESTAL = Pedestal(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.bool_(False), 0.0)
+#: Values of the attribute ``pedestal``: what each pedestal belongs to, in the order of subtraction.
+PEDESTALS = {
+    "line": ("line",),
+    "band": ("band",),
+    "column": ("column",),
+    "band, column": ("band", "column"),
+    "column, band": ("column", "band"),
+}
+#: Values of the attribute ``pedestal_statistic``, and the variance of each over that of a mean.
+STATISTICS = {"mean": 1.0, "median": np.pi / 2.0}
+#: Least number of masked elements of a band or column: the median of fewer follows a cosmic ray.
+MIN_MASKED = 3
+
+
+def declared_pedestal(attrs: Mapping[Any, Any]) -> tuple[str, str]:
+    # Return the attributes ``pedestal`` and ``pedestal_statistic`` of a calibration or a line.
+    #
+    # Raises `SchemaError`: An attribute has an unknown value.
+    pedestal, statistic = attrs.get("pedestal", "line"), attrs.get("pedestal_statistic", "mean")
+    one_of(pedestal, PEDESTALS, "attribute pedestal")
+    one_of(statistic, STATISTICS, "attribute pedestal_statistic")
+    return pedestal, statistic
+
+
+def pedestal_of(masked: Array, usable: Array, declared: tuple[str, str]) -> Pedestal:
+    # Return the pedestals of lines by their ``masked`` and ``usable`` elements (band, column) bool.
+    #
+    # The pedestal of a line uses all masked elements, that of a band the columns that are masked in all
+    # bands, that of a column the bands that are masked in all columns.
+    #
+    # Raises `SchemaError`: A band or column has too few masked elements.
+    pedestal, statistic = declared
+    bands, columns = np.indices(masked.shape)
+    parts: dict[str, tuple[int, Ints, Array, int]] = {
+        "line": (-1, np.zeros_like(bands), masked, 0),
+        "band": (0, bands, masked & masked.all(axis=0), MIN_MASKED),
+        "column": (1, columns, masked & masked.all(axis=1, keepdims=True), MIN_MASKED),
+    }
+    elements, groups, variance, first = [], [], 0.0, 0
+    for part in PEDESTALS[pedestal]:
+        axis, label, is_used, least = parts[part]
+        key = label[is_used & usable]
+        number = np.bincount(key, minlength=int(label.max()) + 1)
+        is_short = (number < least) & (np.bincount(label[usable], minlength=number.size) > 0)
+        SchemaError.raise_if(
+            is_short.any(),
+            f"pedestal {pedestal!r}: {np.count_nonzero(is_short)} of {number.size} {part}s have fewer than "
+            f"{least} elements in masked {'columns' if part == 'band' else 'bands'}",
+            mend="compute reflectance of the whole line before cutting it, or set pedestal to 'line'",
+            code="masked-few",
+        )
+        last = first + np.cumsum(number)
+        groups.append(np.stack([last - number, last, np.full_like(last, axis), np.arange(last.size)], axis=1))
+        elements.append(np.argwhere(is_used & usable)[np.argsort(key, kind="stable")])
+        first = int(last[-1])
+        variance += STATISTICS[statistic] / number[number > 0].min(initial=max(first, 1))
+    return Pedestal(
+        np.concatenate(elements).astype(np.int64),
+        np.concatenate(groups).astype(np.int64),
+        np.bool_(statistic == "median"),
+        1.0 / variance if first else 0.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -91,7 +163,7 @@ class Linearity:
             per_count = (TABLE_NODES - 1) / (end - first)
         on_raw = np.bool_(bool(self) and self.on_raw)
         return DetectorModel(
-            polynomial, table, np.float32(first), np.float32(per_count), _NO_MASKED_ELEMENTS, on_raw
+            polynomial, table, np.float32(first), np.float32(per_count), *NO_PEDESTAL[:3], on_raw
         )
 
     def check(self, problems: Problems, highest_count: float) -> None:

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp  # noqa: F401 (the accessor)
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
 from hyperpaint.simulation import simulate_line
 
@@ -118,3 +118,63 @@ def test_a_cosmic_ray_in_the_mask_does_no_harm() -> None:
     counts[5, 30, 1] += 3000
     struck = line.assign(counts=line.counts.copy(data=counts)).paint.radiance().radiance.values
     assert np.nanmax(np.abs((struck / usual - 1)[5][usual[5] > np.nanmedian(usual)])) < 1e-4
+
+
+L_SHAPE = COVER | (np.arange(60) < 5)[:, None]
+
+
+def plain_pedestal(net: np.ndarray, order: str, statistic: str) -> np.ndarray:
+    # Return the pedestals (line, band, column) of counts above dark, subtracted axis by axis
+    mean_of = {"median": np.median, "mean": np.mean}[statistic]
+    rest = net
+    for axis in order.split(", "):
+        covered = rest[:, :, COVER] if axis == "band" else rest[:, :5]
+        rest = rest - mean_of(covered, axis=2 if axis == "band" else 1, keepdims=True)
+    return net - rest
+
+
+@pytest.mark.parametrize("order", ["band", "column", "band, column", "column, band"])
+@pytest.mark.parametrize("statistic", ["median", "mean"])
+def test_pedestals_of_bands_and_columns_against_plain_numpy(order: str, statistic: str) -> None:
+    line, rng = declared(flown(is_exact=True), L_SHAPE, ("band", "cross_track")), np.random.default_rng(1)
+    offset = rng.normal(0, 20, (40, 60, 1)) + rng.normal(0, 20, (40, 1, COLUMNS))
+    line = line.assign(counts=line.counts.copy(data=(line.counts.values + offset).astype("f4")))
+    made = line.assign_attrs(pedestal=order, pedestal_statistic=statistic)
+    dark = line.dark_counts.values.reshape(-1, 60, COLUMNS).mean(axis=0).astype(float)
+    net = line.counts.values - dark
+    scale = line.radiance_gain.values / np.broadcast_to(line.exposure_time.values, 40)[:, None, None]
+    expected = ((net - plain_pedestal(net, order, statistic)) * scale)[:, ~L_SHAPE]
+    radiance = made.paint.radiance().radiance
+    assert f"{statistic} of the masked elements of each {order} of each line" in radiance.pedestal_applied
+    lit = radiance.values[:, ~L_SHAPE]
+    seen = np.isfinite(lit)  # not saturated
+    assert seen.mean() > 0.9
+    np.testing.assert_allclose(lit[seen], expected[seen], rtol=1e-6, atol=1e-6 * expected[seen].max())
+    parts = made.chunk(along_track=7).paint.radiance().radiance.values
+    assert parts.tobytes() == radiance.values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("attrs", "masked", "code"),
+    [
+        ({"pedestal": "row"}, L_SHAPE, "choice-unknown"),
+        ({"pedestal_statistic": "mode"}, L_SHAPE, "choice-unknown"),
+        ({"pedestal": "band"}, L_SHAPE & ~COVER, "masked-few"),
+        ({"pedestal": "band, column"}, np.broadcast_to(COVER, L_SHAPE.shape), "masked-few"),
+    ],
+)
+def test_impossible_pedestals_are_refused(attrs: dict[str, Any], masked: np.ndarray, code: str) -> None:
+    line = declared(flown(), masked, ("band", "cross_track")).assign_attrs(attrs)
+    with pytest.raises(SchemaError, match=code):
+        line.paint.radiance().compute()
+
+
+def test_the_noise_of_medians_of_few_elements_is_stated() -> None:
+    line = declared(flown(), L_SHAPE, ("band", "cross_track"))
+    whole, parts = (
+        line.assign_attrs(pedestal=order, pedestal_statistic="median").paint.reflectance(uncertainty=True)
+        for order in ("line", "band, column")
+    )
+    whole, parts = (each.reflectance_u_systematic for each in (whole, parts))
+    assert parts.masked_elements == pytest.approx(2 / np.pi / (1 / (2 * COVERED) + 1 / 5))
+    assert bool((parts > whole).where(whole > 0, True).all())

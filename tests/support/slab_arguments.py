@@ -22,6 +22,8 @@ NO_MODEL = DetectorModel(
     np.float32(0.0),
     np.float32(1.0),
     np.empty((0, 2), np.int64),
+    np.empty((0, 4), np.int64),
+    np.bool_(False),
     np.bool_(False),
 )
 

@@ -540,7 +540,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
     # Return the attributes of a calibration on linearity and absolute scale.
-    names = ("linearity", "linearity_on", "absolute_scale")
+    names = ("linearity", "linearity_on", "pedestal", "pedestal_statistic", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 

@@ -12,7 +12,6 @@ Means over pixels and their uncertainty: random errors average out, common error
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -45,7 +44,15 @@ from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, 
 from hyperpaint.radiometry import slabs
 from hyperpaint.radiometry.darks import dark_weights
 from hyperpaint.radiometry.spectral_axis import NominalAxis
-from hyperpaint.radiometry.stray_light import ACROSS, SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
+from hyperpaint.radiometry.stray_light import (
+    ACROSS,
+    SHIFT_TIME,
+    STRAY,
+    STRAY_LIGHT,
+    STRAY_U,
+    declared_pedestal,
+    pedestal_of,
+)
 
 NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (
@@ -143,11 +150,11 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     return result
 
 
-def masked_elements(line: xr.Dataset) -> int:
-    # Return the number of elements of a line that receive no light.
-    masked = line["masked"]
-    other_sizes = [line.sizes[dim] for dim in (BAND, CROSS_TRACK) if dim not in masked.dims]
-    return int(masked.values.sum()) * math.prod(other_sizes)
+def masked_elements(line: xr.Dataset) -> float:
+    # Return the number of elements without light whose mean is as noisy as the pedestals of a line.
+    like = line["reflectance"].isel({ALONG_TRACK: 0}, drop=True)
+    masked = line["masked"].broadcast_like(like).transpose(BAND, CROSS_TRACK).to_numpy()
+    return pedestal_of(masked, np.ones_like(masked), declared_pedestal(line.attrs)).elements
 
 
 def error_terms(
@@ -156,14 +163,14 @@ def error_terms(
     light: Mapping[str, Any] | None,
     dtype: str,
     bad: Array,
-    masked: int = 0,
+    masked: float = 0.0,
     dark_share: float = 1.0,
 ) -> ErrorTerms:
     # Return the terms of the uncertainty of every sample; unknown terms are zero.
     #
     # ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line, by
     # name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
-    # light, whose mean is subtracted as pedestal of a line: all its samples share the noise of this mean;
+    # light whose mean is as noisy as the pedestals of a line, whose noise its samples share;
     # ``dark_share`` is the largest root sum of squares of the weights with which a line's darks are
     # subtracted.
     #
