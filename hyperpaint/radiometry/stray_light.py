@@ -78,11 +78,11 @@ def pedestal_of(masked: Array, usable: Array, declared: tuple[str, str]) -> Pede
     #
     # Raises `SchemaError`: A band or column has too few masked elements.
     pedestal, statistic = declared
-    bands, columns = np.indices(masked.shape)
-    parts: dict[str, tuple[int, Ints, Array, int]] = {
-        "line": (-1, np.zeros_like(bands), masked, 0),
-        "band": (0, bands, masked & masked.all(axis=0), MIN_MASKED),
-        "column": (1, columns, masked & masked.all(axis=1, keepdims=True), MIN_MASKED),
+    numbers: Any = np.indices(masked.shape)
+    parts = {
+        "line": (-1, np.zeros_like(numbers[0]), masked, 0),
+        "band": (0, numbers[0], masked & masked.all(axis=0), MIN_MASKED),
+        "column": (1, numbers[1], masked & masked.all(axis=1, keepdims=True), MIN_MASKED),
     }
     elements, groups, variance, first = [], [], 0.0, 0
     for part in PEDESTALS[pedestal]:
