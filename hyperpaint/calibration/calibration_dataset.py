@@ -1010,6 +1010,8 @@ class Result:
         if self.linearity.measured is not None:
             coords["linearity_counts"] = self.linearity.measured
             values["linear_counts"] = self.linearity.linear
+        if self.linearity.basis is not None:
+            values |= {"linearity_basis": self.linearity.basis, "linearity_map": self.linearity.weights}
         variables = {name: _labelled(value, name) for name, value in values.items()}
         if "band_shift_time" in variables:
             variables["band_shift_time"].attrs["bands"] = self.lab.shape[1]
@@ -1415,7 +1417,7 @@ def calibrate(
     capture_uncertainty: float = 0.0,
     etendue_uncertainty: float = 0.0,
     wavelength_uncertainty: float = 0.1,
-    linearity: Sequence[float] | xr.DataArray = (),
+    linearity: Sequence[float] | xr.DataArray | xr.Dataset = (),
     linearity_on: str = DARK_SUBTRACTED,
     linearity_uncertainty: float = 0.0,
     flat_field: xr.DataArray | None = None,
@@ -1448,8 +1450,10 @@ def calibrate(
         Standard uncertainty of the monochromator's dial [nm], which all lamp lines share.
     linearity
         Coefficients of `hyperpaint.calibration.linearity`; or a table: counts proportional to light over a
-        coordinate ``linearity_counts`` of measured counts, linear between its nodes. () for none. It is
-        stored with the calibration, and `radiance` and `reflectance` apply it to the counts of every flight.
+        coordinate ``linearity_counts`` of measured counts, linear between its nodes; or a Dataset of that
+        table as ``linear_counts``, and of ``linearity_basis`` (linearity_term, linearity_counts) and
+        ``linearity_map`` (linearity_term, band, cross_track) [1], by which elements differ. () for none. It
+        is stored with the calibration; `radiance` and `reflectance` apply it to the counts of every flight.
     linearity_on
         "dark-subtracted": linear counts are L(C - D), with L the curve; "raw": L(C) - L(D).
     linearity_uncertainty
@@ -1632,7 +1636,9 @@ def calibrate(
     ).dataset(flat_factors)
 
 
-def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
+def _linearity_curve(
+    linearity: Sequence[float] | xr.DataArray | xr.Dataset, on: str, lab: LabSweep
+) -> Linearity:
     # Return the linearity curve of the arguments; SchemaError for an invalid one.
     problems = Problems("linearity= cannot be applied", SchemaError)
     if isinstance(linearity, xr.DataArray):
@@ -1645,6 +1651,14 @@ def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: La
         table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
         table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
         curve = linearity_of(table.assign_attrs(linearity_on=on))
+    elif isinstance(linearity, xr.Dataset):
+        curve = linearity_of(linearity.assign_attrs(linearity_on=on))
+        problems.add_if(
+            curve.basis is not None and curve.weights.shape[1:] != lab.shape[1:],
+            f"'linearity_map' has shape {np.shape(curve.weights)}",
+            expected=f"(linearity_term, band, cross_track), the last two {lab.shape[1:]}",
+            code="length-mismatch",
+        )
     else:
         curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": on}))
     curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))

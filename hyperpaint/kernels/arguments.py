@@ -36,8 +36,10 @@ def without_empty_arrays(group: Group) -> Group:
 class DetectorModel(NamedTuple):
     #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
     polynomial: Array
-    #: (0 or node,) float32: linear counts minus counts at evenly spaced nodes; used instead of `polynomial`
+    #: (0 or 1 + term, node) float32: linear counts minus counts at evenly spaced nodes, used instead of
+    #: `polynomial`; then the functions by which those of elements differ
     table: Array
+    weights: Array  #: (0 or term, band, column) float32: weights of these functions
     #: first_node [count], nodes_per_count, float32: position of the nodes
     first_node: Any
     nodes_per_count: Any

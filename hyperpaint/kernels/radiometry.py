@@ -291,23 +291,37 @@ def polynomial_row(polynomial: Array | None, counts: Array) -> None:
 
 
 @borrowing_kernel
-def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory, counts: Array) -> None:
-    # Linearise counts (column,) in place by a table of corrections.
+def table_row(
+    detector: DetectorModel,
+    table: Array | None,
+    weights: Array | None,
+    memory: LinearMemory,
+    band: Any,
+    counts: Array,
+) -> None:
+    # Linearise counts (column,) of a band in place by a table of corrections.
     #
+    # ``table`` and ``weights`` are members of ``detector``.
     # The table is linear between nodes, and extrapolated from the two outermost nodes. Node numbers are
     # computed in a separate loop, because look-ups do not vectorise.
     if table is not None:
         node, part = memory.node, memory.part
-        last = np.float32(table.size - 2)
+        last = np.float32(table.shape[1] - 2)
         for x in range(counts.size):
             position = (counts[x] - detector.first_node) * detector.nodes_per_count
             # false for NaN, whose conversion to an integer is undefined
             clipped = min(position, last) if position > _NOTHING else _NOTHING
             node[x] = np.int32(clipped)
             part[x] = position - np.float32(node[x])
+        if weights is not None:
+            for term in range(weights.shape[0]):
+                row, weight = table[1 + term], weights[term, band]
+                for x in range(counts.size):
+                    low, high = row[np.uint32(node[x])], row[np.uint32(node[x]) + _ONE]
+                    counts[x] += weight[x] * (low + part[x] * (high - low))
         for x in range(counts.size):
-            correction = table[np.uint32(node[x])]
-            part[x] = correction + part[x] * (table[np.uint32(node[x]) + _ONE] - correction)
+            correction = table[0, np.uint32(node[x])]
+            part[x] = correction + part[x] * (table[0, np.uint32(node[x]) + _ONE] - correction)
         for x in range(counts.size):
             counts[x] = counts[x] + part[x]
 
@@ -320,7 +334,7 @@ def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory |
             for x in range(dark.shape[1]):
                 linear.dark[band, x] = dark[band, x]
             if detector.on_raw:
-                table_row(detector, detector.table, linear, linear.dark[band])
+                table_row(detector, detector.table, detector.weights, linear, band, linear.dark[band])
                 polynomial_row(detector.polynomial, linear.dark[band])
 
 
@@ -334,7 +348,7 @@ def signal_row(
         signal, dark = linear.signal, linear.dark[band]
         for x in range(signal.size):
             signal[x] = np.float32(counts[line, band, x]) - (_NOTHING if detector.on_raw else dark[x])
-        table_row(detector, detector.table, linear, signal)
+        table_row(detector, detector.table, detector.weights, linear, band, signal)
         polynomial_row(detector.polynomial, signal)
         if detector.on_raw:
             for x in range(signal.size):
@@ -348,6 +362,8 @@ def slope_row(
     detector: DetectorModel,
     polynomial: Array | None,
     table: Array | None,
+    weights: Array | None,
+    band: Any,
     slope: Array,
 ) -> None:
     # Write the derivative of linear counts with respect to counts (column,), which scales the noise.
@@ -358,12 +374,16 @@ def slope_row(
             c = np.float32(counts[x]) - (_NOTHING if detector.on_raw else dark[x])
             slope[x] = _ONE_F32 + c * (a2 + c * (a3 + c * (a4 + c * a5)))
     elif table is not None:
-        last, per_count = np.float32(table.size - 2), detector.nodes_per_count
+        last, per_count = np.float32(table.shape[1] - 2), detector.nodes_per_count
         for x in range(slope.size):
             count = np.float32(counts[x]) - (_NOTHING if detector.on_raw else dark[x])
             position = (count - detector.first_node) * per_count
             node = np.uint32(np.int32(min(position, last) if position > _NOTHING else _NOTHING))
-            slope[x] = _ONE_F32 + (table[node + _ONE] - table[node]) * per_count
+            slope[x] = _ONE_F32 + (table[0, node + _ONE] - table[0, node]) * per_count
+            if weights is not None:
+                for term in range(weights.shape[0]):
+                    rise = table[1 + term, node + _ONE] - table[1 + term, node]
+                    slope[x] += weights[term, band, x] * rise * per_count
 
 
 # --- rounding of float32 values to the stored mantissa bits ------------------------------------------------
@@ -462,7 +482,7 @@ def random_row(
     else:
         # noise arises in raw counts: u = m L'(C) sqrt((C - D) / k + floor)
         counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
-        slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
+        slope_row(counts, dark, detector, detector.polynomial, detector.table, detector.weights, band, slope)
         for x in range(u_random.size):
             net_count = np.float32(counts[x]) - dark[x]
             shot = _NOTHING if net_count < _NOTHING else net_count

@@ -77,7 +77,7 @@ from .planning import (
     plan_inputs,
     refuse_calibration,
 )
-from .stray_light import TABLE, Linearity, described
+from .stray_light import OF_ELEMENTS, STRAY_SOURCES, TABLE, Linearity, described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
 
 #: Share of saturated elements [1] above which a white reference is refused; fewer become bad elements.
@@ -211,7 +211,7 @@ def white_reference(
         code="tile-missing",
     )
     names = {*line.variables, *line.attrs}
-    corrections = {"linear_counts", "masked", "stray_light", "band_shift_time", "linearity"} & names
+    corrections = {"linear_counts", "masked", "linearity", *OF_ELEMENTS, *STRAY_SOURCES} & names
     SchemaError.raise_if(
         corrections,
         f"a white reference and {', '.join(sorted(corrections))} of a calibration",

@@ -399,6 +399,7 @@ def _part_of_plan(plan: Plan, bands: Any, columns: slice) -> Plan:
         smile=smile,
         saturation_limit=cut(plan.saturation_limit),
         noise_margin=cut(plan.noise_margin),
+        detector=plan.detector._replace(weights=cut(plan.detector.weights)),
         column_flags=plan.column_flags[columns],
     )
 

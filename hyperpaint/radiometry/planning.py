@@ -78,13 +78,14 @@ from .stray_light import (
     FLAT,
     SHIFT_TIME,
     STRAY_LIGHT,
-    TABLE,
     Linearity,
     check_stray_light,
     declared_linearity,
     declared_pedestal,
     pedestal_of,
     stray_light_of,
+    table_names,
+    tabulated,
 )
 from .uncertainty.propagation import error_terms, uncertainty_inputs
 
@@ -376,11 +377,8 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
     # Return the linearity curve of a line's counts; the identity for a radiance cube.
-    curve: Linearity = cube.get("linearity") or Linearity()
-    if "linear_counts" in cube:
-        measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
-        curve = Linearity((), measured, linear, curve.on_raw)
-    return curve
+    curve: Linearity = cube.get("linearity", Linearity())
+    return tabulated(cube, curve.on_raw) if table_names(cube) else curve
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
@@ -823,7 +821,8 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
         required += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if is_from_counts:
-        optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
+        required += table_names(dataset.variables)
+        optional += [name for name in ("masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # for the slope of the responsivity
     arrays = require(dataset, dict.fromkeys([*required, *optional]), purpose)
@@ -837,7 +836,7 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
     values = {name: slabs.small(array) for name, array in arrays.items()}
     if is_white:
         values["radiance_gain"] = values.pop(WHITE_GAIN)
-    if is_from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
+    if is_from_counts and (table_names(values) or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
     if "masked" in values:
         values["pedestal"] = declared_pedestal(dataset.attrs)

@@ -12,7 +12,7 @@ Declared for dark-subtracted counts, c = L(C - D), or for raw counts, c = L(C) -
 amplifier and converter, which process light and dark, are nonlinear, or the detector wells.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,6 +26,8 @@ from hyperpaint.kernels.arguments import DetectorModel, StrayLight, StrayTerms
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
+#: Variables by which the curves of elements differ from the table.
+OF_ELEMENTS = ("linearity_basis", "linearity_map")
 #: Number of terms of a polynomial in the kernel; longer polynomials become tables.
 MAX_KERNEL_TERMS = 4
 #: Nodes of a table: every eighth count of 16 bits, so that interpolation of a curve with 5 % at full scale is
@@ -115,9 +117,13 @@ class Linearity:
     # Curve from counts to counts proportional to light; see `linearity_of`.
     coefficients: tuple[float, ...] = ()  #: a2, a3 ... of c + a2 c^2 + a3 c^3 + ...; none with a table
     #: measured, linear (node,) [count]: the table, linear between nodes and beyond them; None without a table
-    measured: Floats | None = None
-    linear: Floats | None = None
+    measured: Any = None
+    linear: Any = None
     on_raw: bool = False  #: Whether the curve applies to raw counts, which include the dark
+    #: basis (term, node), weights (term, band, column) [1]: by their sum of products times the counts, linear
+    #: between nodes, the linear counts of an element exceed the table; None where elements are alike
+    basis: Any = None
+    weights: Any = None
 
     def __bool__(self) -> bool:
         return bool(self.coefficients) or self.measured is not None
@@ -129,16 +135,28 @@ class Linearity:
 
     def correction(self, counts: Any) -> Any:
         # Return the counts to add to counts of any shape to make them proportional to light [count].
-        if self.measured is not None and self.linear is not None:
-            nodes, corrections = self.measured, self.linear - self.measured
-            lower = np.clip(np.searchsorted(nodes, counts) - 1, 0, nodes.size - 2)
-            return corrections[lower] + (np.diff(corrections) / np.diff(nodes))[lower] * (
-                counts - nodes[lower]
-            )
+        #
+        # With weights of elements, counts are (..., band, column).
+        if self.measured is not None:
+            shared, *of_elements = self.rows_at(counts)
+            return shared + sum(w * row for w, row in zip(self._weights, of_elements, strict=True))
         relative = 0.0
         for coefficient in reversed(self.coefficients):
             relative = (relative + coefficient) * counts
         return counts * relative
+
+    @property
+    def _weights(self) -> Floats:
+        return np.empty((0, 1, 1)) if self.weights is None else self.weights
+
+    def rows_at(self, counts: Any) -> Floats:
+        # Return the correction of a table and its functions of elements (1 + term, ...) at counts [count].
+        nodes = self.measured
+        rows = (self.linear - nodes)[None]
+        rows = rows if self.basis is None else np.concatenate([rows, nodes * self.basis])
+        lower = np.clip(np.searchsorted(nodes, counts) - 1, 0, nodes.size - 2)
+        rise = np.diff(rows) / np.diff(nodes)
+        return np.asarray(rows[:, lower] + rise[:, lower] * (counts - nodes[lower]))
 
     def net(self, raw: Any, dark: Any) -> Any:
         # Return counts above dark, proportional to light; without a curve their difference, bit for bit.
@@ -151,40 +169,56 @@ class Linearity:
 
     def detector_model(self, highest_count: float) -> DetectorModel:
         # Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table.
-        polynomial = table = np.empty(0, np.float32)
-        first, per_count = 0.0, 1.0
+        polynomial, table = np.empty(0, np.float32), np.empty((0, 0), np.float32)
+        nodes, per_count = np.zeros(1), 1.0
         if 0 < len(self.coefficients) <= MAX_KERNEL_TERMS:
             polynomial = np.zeros(MAX_KERNEL_TERMS, np.float32)
             polynomial[: len(self.coefficients)] = self.coefficients
         elif self:
             end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
-            first = -BELOW_DARK_SHARE * end
-            table = np.asarray(self.correction(np.linspace(first, end, TABLE_NODES)), np.float32)
-            per_count = (TABLE_NODES - 1) / (end - first)
+            nodes = np.linspace(-BELOW_DARK_SHARE * end, end, TABLE_NODES)
+            if self.measured is None:
+                table = np.asarray(self.correction(nodes), np.float32)[None]
+            else:
+                if np.ptp(np.diff(self.measured)) <= 1e-6 * np.ptp(self.measured) / self.measured.size:
+                    nodes = self.measured  # evenly spaced: exact
+                table = self.rows_at(nodes).astype(np.float32)
+            per_count = (nodes.size - 1) / (nodes[-1] - nodes[0])
         on_raw = np.bool_(bool(self) and self.on_raw)
         return DetectorModel(
-            polynomial, table, np.float32(first), np.float32(per_count), *NO_PEDESTAL[:3], on_raw
+            polynomial,
+            table,
+            np.ascontiguousarray(self._weights, np.float32),
+            np.float32(nodes[0]),
+            np.float32(per_count),
+            *NO_PEDESTAL[:3],
+            on_raw,
         )
 
     def check(self, problems: Problems, highest_count: float) -> None:
         # Add problems of a curve that is not finite, or does not increase up to the highest count.
         if not self:
             return
-        if self.measured is not None and self.linear is not None:
-            is_finite = np.isfinite(self.measured).all() and np.isfinite(self.linear).all()
+        if self.measured is not None:
+            tables = (self.measured, self.linear, 0.0 if self.basis is None else self.basis, self._weights)
+            is_finite = all(np.isfinite(table).all() for table in tables)
             if self.measured.size < 2 or not is_finite or (np.diff(self.measured) <= 0).any():
                 problems.add(
                     f"the table of linearity has {self.measured.size} counts from {self.measured[:1]} to "
                     f"{self.measured[-1:]}",
-                    expected="two or more finite counts that increase",
+                    expected="two or more finite counts that increase, a finite basis and map",
                     code="linearity-invalid",
                 )
                 return
         end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
         counts = np.linspace(0.0, end, 1025)
-        linear = counts + self.correction(counts)
+        rows = self.correction(counts)[None] if self.measured is None else self.rows_at(counts)
+        rise = np.diff(counts + rows[0])
+        for weight, row in zip(self._weights, rows[1:], strict=True):
+            # few elements may be dead
+            rise += np.minimum(*(share * np.diff(row) for share in np.percentile(weight, (1.0, 99.0))))
         problems.add_if(
-            not np.isfinite(linear).all() or (np.diff(linear) <= 0).any(),
+            not (rise > 0).all(),
             f"linearity is not monotonic below {end:g} counts",
             expected="linear counts that rise with the counts",
             mend="fit it over the whole range, or with a lower degree",
@@ -196,16 +230,27 @@ def linearity_of(dataset: xr.Dataset) -> Linearity:
     # Return the curve that a calibration or a line declares.
     #
     # Attribute ``linearity``: coefficients of `hyperpaint.calibration.linearity`, or "identity"; the variable
-    # ``linear_counts`` over ``linearity_counts`` in their place is a table. Attribute ``linearity_on``:
+    # ``linear_counts`` over ``linearity_counts`` in their place is a table, from which elements may differ by
+    # ``linearity_basis`` and ``linearity_map``. Attribute ``linearity_on``:
     # "dark-subtracted", the default, or "raw".
     #
     # Raises `SchemaError`: The attribute or the table is invalid.
     declared = declared_linearity(dataset.attrs)
-    if "linear_counts" not in dataset.variables:
-        return declared
-    arrays = require(dataset, TABLE, "linearity")
-    measured, linear = (arrays[name].to_numpy().astype(np.float64) for name in TABLE)
-    return Linearity((), measured, linear, declared.on_raw)
+    names = table_names(dataset.variables)
+    return tabulated(require(dataset, names, "linearity"), declared.on_raw) if names else declared
+
+
+def table_names(names: Collection[Any]) -> tuple[str, ...]:
+    # Return the variables of a table that one of ``names`` belongs to.
+    if {*OF_ELEMENTS} & {*names}:
+        return (*TABLE, *OF_ELEMENTS)
+    return TABLE if TABLE[1] in names else ()
+
+
+def tabulated(arrays: Mapping[str, Any], on_raw: bool) -> Linearity:
+    # Return the curve of the variables of a table by name.
+    measured, linear, *of_elements = (np.asarray(arrays[name]) for name in table_names(arrays))
+    return Linearity((), measured.astype(np.float64), linear.astype(np.float64), on_raw, *of_elements)
 
 
 def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
@@ -230,6 +275,7 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
 STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME, ACROSS, FLAT = (
     "stray_light", "stray_light_u", "band_shift_time", "stray_light_across", "flat_field",
 )  # fmt: skip
+STRAY_SOURCES = {STRAY, SHIFT_TIME, ACROSS}
 #: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
 MAX_ROW_SUM = 10.0
 #: Largest share of a frame's light that is smear [1]: bands times shift time over exposure.
@@ -308,7 +354,7 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
     # nearest good band of their column; ``masked`` (n, 2): band and column of elements that receive no light.
     #
     # Warns `PaintWarning`: Elements respond unlike their neighbours.
-    if not {STRAY, SHIFT_TIME, ACROSS} & set(cube):
+    if not STRAY_SOURCES & set(cube):
         return None
     level = np.array(cube[FLAT], np.float64) if FLAT in cube else _levels(gain)
     # column, band and replacement band of every bad element; -1 without a replacement

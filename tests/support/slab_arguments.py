@@ -18,7 +18,9 @@ from hyperpaint.kernels.arguments import (
 from hyperpaint.kernels.radiometry import calibrate_slab, round_row
 
 NO_MODEL = DetectorModel(
-    *[np.empty(0, np.float32)] * 2,
+    np.empty(0, np.float32),
+    np.empty((0, 0), np.float32),
+    np.empty((0, 1, 1), np.float32),
     np.float32(0.0),
     np.float32(1.0),
     np.empty((0, 2), np.int64),

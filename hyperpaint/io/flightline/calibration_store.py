@@ -287,6 +287,8 @@ _SWEEP_RESULTS = (
     "quantum_efficiency",
     "linearity_counts",
     "linear_counts",
+    "linearity_basis",
+    "linearity_map",
     "linearity_u",
     "stray_light",
     "stray_light_across",
@@ -524,6 +526,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "srf_offset",
         "irradiance_wavelength",
         "linearity_counts",
+        "linearity_term",
         "source_band",
         "source_column",
     }

@@ -49,6 +49,7 @@ from hyperpaint.radiometry.stray_light import (
     SHIFT_TIME,
     STRAY,
     STRAY_LIGHT,
+    STRAY_SOURCES,
     STRAY_U,
     declared_pedestal,
     pedestal_of,
@@ -433,7 +434,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 def _stray_light_errors(line: xr.Dataset) -> Floats | None:
     names = [name for name in STRAY_LIGHT if name in line.variables]
-    if STRAY_U not in names or not {STRAY, SHIFT_TIME, ACROSS} & set(names):
+    if STRAY_U not in names or not STRAY_SOURCES & set(names):
         return None
     arrays = require(line, [*names, "exposure_time"], "errors of stray light")
     bands = line.sizes[BAND]
