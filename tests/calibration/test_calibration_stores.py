@@ -10,7 +10,7 @@ from support.codecs import plain_zarr
 from support.refusals import expect_error, expect_refusals, expect_words
 
 import hyperpaint as hp
-from hyperpaint.base.errors import CollectError, FormatError
+from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
@@ -191,3 +191,51 @@ def test_a_collect_has_one_calibration(collect: Path, tmp_path: Path) -> None:
     both = collect.with_name("both.toml")
     both.write_text(text)
     expect_refusals((CollectError, "option-conflict", lambda: hp.open_collect(both)))
+
+
+def listed(folder: Path, name: str, size: tuple[int, int] = (136, 6)) -> Path:
+    # Write a list of bad elements (3, 1) and (5, 2) as a table, or as an ENVI file
+    if name.endswith(".csv"):
+        (folder / name).write_text("band,cross_track\n3,1\n5,2\n")
+    else:
+        mask = np.zeros(size, "<i2")
+        mask[3, 1] = mask[5, 2] = 7
+        mask.tofile(folder / name)
+        shape = f"samples = {size[1]}\nlines = {size[0]}\nbands = 1\ninterleave = bsq"
+        header = f"ENVI\n{shape}\ndata type = 2\nheader offset = 0\nbyte order = 0\n"
+        (folder / f"{name}.hdr").write_text(header)
+    return folder / name
+
+
+@pytest.mark.parametrize("name", ["bad.csv", "bad_elements"])
+def test_bad_elements_are_listed_in_a_file(collect: Path, name: str) -> None:
+    bad = listed(collect.parent, name)
+    usual = open_calibration(collect.parent / "calibration.zarr").radiance_gain.values
+    made = open_calibration(collect.parent / "calibration.zarr", bad_elements=bad).radiance_gain.values
+    assert np.argwhere(np.isnan(made) & ~np.isnan(usual)).tolist() == [[3, 1], [5, 2]]
+    text = collect.read_text().replace(
+        'sweep = "lab.zarr"', f'path = "calibration.zarr"\nbad_elements = "{name}"'
+    )
+    (toml := collect.with_name("bad.toml")).write_text(text)
+    line = hp.open_collect(toml)["flightlines/raw_0"].to_dataset()
+    np.testing.assert_array_equal(line.radiance_gain.values, made)
+    assert np.isnan(line.paint.radiance().radiance.values[:, [3, 5], [1, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "code"),
+    [
+        ("3,99", SchemaError, "grid-mismatch"),
+        ("-1,2", SchemaError, "grid-mismatch"),
+        ("x,y", FormatError, "file-unreadable"),
+        (None, SchemaError, "grid-mismatch"),
+    ],
+)
+def test_lists_of_other_detectors_are_refused(
+    collect: Path, tmp_path: Path, text: str | None, error: type[Exception], code: str
+) -> None:
+    bad = tmp_path / "bad.csv" if text else listed(tmp_path, "small", (8, 6))
+    if text:
+        bad.write_text(f"band,column\n{text}\n")
+    with pytest.raises(error, match=code):
+        open_calibration(collect.parent / "calibration.zarr", bad_elements=bad)

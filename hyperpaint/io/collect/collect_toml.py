@@ -147,6 +147,9 @@ SCHEMA: Mapping[str, Facts] = {
         _text("sweep",
               "file of a lab sweep, from which the calibration is computed; an alternative to path",
               example="lab/sweep.zarr"),
+        _text("bad_elements",
+              "list of bad elements: a CSV table of band and column, or an ENVI file that is 0 for good ones",
+              example="lab/bad.csv"),
     ]),
     "dark": by_key([
         Fact(name="cubes", kind="texts", needed=True,
@@ -322,6 +325,7 @@ class Collect:
     sweep: Path | None  #: Lab sweep to calibrate in place of a ``calibration``.
     geometry: Mapping[str, Any]  #: Table [geometry]: ground or dem, and the mounting of the camera.
     alignment: Alignment  #: When differences between camera and record are corrected.
+    bad_elements: Path | None  #: List of bad elements.
     #: Names of the cubes of each table with a pattern or a folder, in their order, and the table's id.
     flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
@@ -582,7 +586,9 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     # a calibration, or the lab sweep to compute it from
     table = reader.one("calibration")
     reader.exclude("[calibration]", table, "path", "sweep")
-    calibration, sweep = (reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep"))
+    calibration, sweep, bad_elements = (
+        reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep", "bad_elements")
+    )
     problems.add_if(
         reader.tables["calibration"] and not table["?"] & {"path", "sweep"},
         "[calibration] path is missing",
@@ -641,6 +647,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         references=references,
         panels=panels,
         sweep=sweep,
+        bad_elements=bad_elements,
         geometry=geometry,
         alignment=reader.one("alignment").get("apply", "auto"),
         flights=tuple(reader.flights),
@@ -707,7 +714,7 @@ def open_with_settings(
     calibration: xr.Dataset | Unavailable | None = Unavailable.REPORTED if is_stated else None
     if isinstance(collect.calibration, Path):
         with findings.step():
-            calibration = open_calibration(collect.calibration)
+            calibration = open_calibration(collect.calibration, bad_elements=collect.bad_elements)
     if collect.sweep is not None:
         with findings.step():
             if calibrate is None:
@@ -716,7 +723,7 @@ def open_with_settings(
                     mend="open it by hyperpaint.open_collect, or pass calibrate=",
                     code="calibrate-missing",
                 )
-            calibration = open_calibration(calibrate(collect.sweep))
+            calibration = open_calibration(calibrate(collect.sweep), bad_elements=collect.bad_elements)
     irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
     with findings.step():
         irradiance = None

@@ -36,6 +36,7 @@ from hyperpaint.base.schema import (
     STEP,
     SWEEP_VARIABLES,
     VARIABLES,
+    Array,
     Floats,
     dtype_of,
     label,
@@ -348,7 +349,9 @@ _VALUE_RULES: Mapping[str, tuple[Callable[[Floats], Any], str, str, str]] = {
 }  # fmt: skip
 
 
-def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
+def open_calibration(
+    source: Any, *, group: str | None = None, bad_elements: str | os.PathLike[str] | None = None
+) -> xr.Dataset:
     """Open a calibration and check it.
 
     Parameters
@@ -359,6 +362,9 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
         Dataset.
     group
         Group of the calibration; by default the root, or ``calibration`` if the store is a collect.
+    bad_elements
+        List of bad elements, whose gain becomes NaN: a table in CSV, of band and column, both numbered from
+        0, below a row of headings; or an ENVI file of one value an element, 0 for good elements.
 
     Returns
     -------
@@ -369,9 +375,10 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     Raises
     ------
     FormatError
-        The store cannot be read, or differs from its manifest.
+        The store or the list cannot be read, or the store differs from its manifest.
     SchemaError
-        Variables, units or values are missing or impossible; all problems are listed.
+        Variables, units or values are missing or impossible; all problems are listed. The list has other
+        bands or columns.
 
     Warns
     -----
@@ -391,14 +398,46 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     >>> float(calibration.radiance_gain[0, 0]), calibration.radiance_gain.units
     (1.00...e-10, 'W m-2 sr-1 nm-1 s count-1')
     """
-    if isinstance(source, xr.Dataset):
-        return check_calibration(source)
 
     def load(source: Any, group: str | None) -> xr.Dataset:
         groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
         return load_group(source, "calibration" if groups == {"calibration"} else group)
 
-    return check_calibration(_read(source, group, "calibration", load), str(source))
+    if isinstance(source, xr.Dataset):
+        calibration = check_calibration(source)
+    else:
+        calibration = check_calibration(_read(source, group, "calibration", load), str(source))
+    if bad_elements is not None:
+        gain = calibration["radiance_gain"]
+        bad = _bad_elements(input_path(bad_elements, "a list of bad elements"), gain.shape)
+        calibration["radiance_gain"] = gain.copy(data=np.where(bad, np.float32(np.nan), gain.values))
+    return calibration
+
+
+def _bad_elements(path: Path, shape: tuple[int, ...]) -> Array:
+    # Return whether the elements (band, cross_track) are in a list; see `open_calibration`.
+    if path.suffix.lower() == ".csv":
+        rows = read_limited_text(path, _MAX_BYTES, "a table of bad elements").splitlines()
+        try:
+            places = np.loadtxt(rows, np.int64, delimiter=",", skiprows=1, usecols=(0, 1), ndmin=2)
+        except ValueError as error:
+            raise FormatError(
+                f"{path}: {error}", expected="numbers of band and column", code="file-unreadable"
+            ) from error
+        sizes, is_fitting = places.max(axis=0, initial=-1) + 1, ((places >= 0) & (places < shape)).all()
+        bad = np.zeros(shape, bool)
+        if is_fitting:
+            bad[tuple(places.T)] = True
+    else:
+        bad = np.squeeze(open_envi(path, quantity="values")["values"].to_numpy()) != 0
+        sizes, is_fitting = np.array(bad.shape), bad.shape == shape
+    SchemaError.raise_if(
+        not is_fitting,
+        f"{path}: bad elements up to {tuple(sizes.tolist())}",
+        expected=f"bands and columns of the calibration, {shape}",
+        code="grid-mismatch",
+    )
+    return bad
 
 
 def _read(
