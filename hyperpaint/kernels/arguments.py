@@ -74,7 +74,7 @@ class StrayLight(NamedTuple):
     #
     # Smear is proportional to counts as read. Scattered light is that of the counts without smear, and is
     # proportional to the light before the detector, hence the ``level`` of each element.
-    bands: StrayTerms | None  #: from band to band; None without
+    bands: StrayTerms  #: from band to band; no terms without
     columns: StrayTerms | None  #: from column to column, before that from band to band; None without
     smear: Array  #: (line,) float32: share of the sum of all bands [1]
     #: (n, 3) int64: column and band of a bad element, and the band whose counts it gets; -1 to set it to 0

@@ -974,32 +974,19 @@ def sum_line(
             net[band, x] = (net[band, x] - total[x]) * stray.level[band, x]
     if across is not None:
         sideways = np.empty((columns, bands), np.float32)
-        scatter(net.T, across, sideways)
-        for band in range(bands):
-            for x in range(columns):
-                net[band, x] -= sideways[x, band]
-    scatter(net, stray.bands, out)
+        scatter(net.T, across.source, across.out, sideways)
+        net -= sideways.T
+    scatter(net, stray.bands.source, stray.bands.out, out)
     if across is not None:
-        for band in range(bands):
-            for x in range(columns):
-                out[band, x] += sideways[x, band]
+        out += sideways.T
     for band in range(bands):
         for x in range(columns):
             out[band, x] = out[band, x] / stray.level[band, x] + total[x]
 
 
 @kernel
-def scatter(light: Array, terms: StrayTerms | None, out: Array) -> None:
-    # Write the part of ``light`` (row, column) that is scattered into each row; 0 without terms.
-    if terms is None:
-        out[:] = _NOTHING
-    else:
-        multiply(light, terms.source, terms.out, out)
-
-
-@kernel
-def multiply(light: Array, source_terms: Array, out_terms: Array | None, out: Array) -> None:
-    # Write ``out_terms @ source_terms @ light``; ``source_terms @ light`` without ``out_terms``.
+def scatter(light: Array, source_terms: Array, out_terms: Array | None, out: Array) -> None:
+    # Write the part of ``light`` (row, column) that is scattered into each row, by members of `StrayTerms`.
     #
     # Terms are summed four at a time in the order of the rows, so the bits do not depend on the number of
     # columns. Rows of zeros pad the block to a multiple of four.

@@ -368,8 +368,8 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
         replacements.append((column, band, nearest))
         level[band, column] = level[nearest, column]
     return StrayLight(
-        _terms(cube, STRAY),
-        _terms(cube, ACROSS),
+        _terms(cube.get(STRAY, np.zeros((len(gain), len(gain)))), STRAY),
+        _terms(cube[ACROSS], ACROSS) if ACROSS in cube else None,
         smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, len(gain)).astype(np.float32),
         np.array(replacements, np.int64).reshape(-1, 3),
         np.asarray(np.where(level > 0.0, level, 1.0), np.float32),
@@ -419,13 +419,10 @@ def _row_medians(values: Floats, used: Array) -> Floats:
     return np.asarray(np.nanmedian(np.where(is_counted, values, np.nan), axis=1, keepdims=True))
 
 
-def _terms(cube: Mapping[str, Any], name: str) -> StrayTerms | None:
+def _terms(matrix: Any, name: str) -> StrayTerms:
     # Return `1 - (1 + D)^{-1}` of a declared matrix as a product (out, term), (term, source), of the fewest
-    # sufficient terms, or unchanged where these would need more sums; None where not declared.
-    if name not in cube:
-        return None
-    matrix = np.asarray(cube[name], np.float64)
-    share = np.eye(len(matrix)) - inverse_of(matrix, name)
+    # sufficient terms, or unchanged where these would need more sums.
+    share = np.eye(len(matrix)) - inverse_of(np.asarray(matrix, np.float64), name)
     left, size, right = np.linalg.svd(share)
     residual = share.copy()
     for term in range(len(size) // 2):

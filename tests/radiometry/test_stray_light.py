@@ -192,7 +192,6 @@ def test_few_terms_stand_for_all() -> None:
     )
     assert stray is not None
     terms = stray.bands
-    assert terms is not None
     assert terms.out is not None
     rest = (terms.out.astype(float) @ terms.source.astype(float)[:, :272]) - (
         np.eye(272) - inverse_of(matrix, "stray_light")
