@@ -535,7 +535,14 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         Variables are missing, or have other dims or units; every problem is listed. The gain has
         no absolute scale (attribute ``absolute_scale`` of the calibration), or ``linearity_on`` is unknown.
         When computed: values are out of range, such as a dark at another exposure or a linearity curve that
-        is not monotonic.
+        is not monotonic; bands or columns have too few masked elements; stray light belongs to other bands or
+        columns.
+
+    Warns
+    -----
+    PaintWarning
+        When computed: elements respond unlike their neighbours, while stray light is subtracted without a
+        ``flat_field``.
 
     Notes
     -----
@@ -543,18 +550,22 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
 
     with :math:`g` the radiance gain, :math:`C` and :math:`D` the counts and the dark, :math:`t` the
     exposure time and :math:`\ell` the detector's linearity, as the calibration declares it (attributes
-    ``linearity`` and ``linearity_on``, or the table ``linear_counts``): the identity without one. Saturation
-    is judged on raw counts. The attribute ``linearity_applied`` names the applied curve.
+    ``linearity`` and ``linearity_on``, or the table ``linear_counts``, from which elements may differ by
+    ``linearity_basis`` and ``linearity_map``): the identity without one. Saturation is judged on raw counts.
+    The attribute ``linearity_applied`` names the applied curve.
 
     Where the calibration or the line declares ``masked`` elements, which receive no light, the mean of their
     counts above their dark in a line, the pedestal, is added to the dark of every element of that line;
-    elements further than 5 standard deviations from the mean are left out. The attribute ``pedestal_applied``
-    records it. The noise of that mean, which all samples of a line share, is in the systematic uncertainty.
+    elements further than 5 standard deviations from the mean are left out. By the attributes ``pedestal`` and
+    ``pedestal_statistic`` there are pedestals of bands and of columns, also by the median. The attribute
+    ``pedestal_applied`` records it. The noise of pedestals is in the systematic uncertainty.
 
     Where the calibration or the line holds ``stray_light``, the share of each band's light that other bands
     receive, or ``band_shift_time``, in which a frame is shifted by a band under the light, the light of other
     bands is subtracted: :math:`c = (1 + D)^{-1} (s - \kappa \sum s)`, where of :math:`n` bands
     :math:`\kappa = \epsilon / (1 + n \epsilon)`, and :math:`\epsilon` is the shift time over the exposure.
+    ``stray_light_across`` does the same between columns. Light scatters before the detector: responses of
+    elements are levelled by ``flat_field``, or by a robust fit to the gain, which names weak elements.
     The attribute ``stray_light_applied`` records it; its uncertainty ``stray_light_u`` is in the systematic
     uncertainty.
 

@@ -319,17 +319,21 @@ def check_stray_light(
     cube: Mapping[str, Any], bands: int, columns: int, exposure: Floats, problems: Problems
 ) -> None:
     # Add problems of stray light that does not fit the bands of a cube, or is too large to subtract.
-    for name, axis, declared, size in (
-        (STRAY, "bands", np.shape(cube.get(STRAY, 0.0)), bands),
-        (SHIFT_TIME, "bands", (cube.get("shifted_bands") or bands,), bands),
-        (ACROSS, "columns", np.shape(cube.get(ACROSS, 0.0)), columns),
-    ):
+    of_bands = {STRAY: np.shape(cube.get(STRAY, 0.0)), SHIFT_TIME: (cube.get("shifted_bands") or bands,)}
+    for name, declared in of_bands.items():
         problems.add_if(
-            set(declared) - {size},
-            f"{name!r} belongs to {max(declared, default=0)} {axis}, this line has {size}",
-            mend=f"select {axis} after computing reflectance, or drop the variable",
-            code=f"{axis}-selected",
+            {*declared} - {bands},
+            f"{name!r} belongs to {max(declared, default=0)} bands, this line has {bands}",
+            mend="select bands after computing reflectance, or drop the variable",
+            code="bands-selected",
         )
+    problems.add_if(
+        {*np.shape(cube.get(ACROSS, 0.0))} - {columns},
+        f"{ACROSS!r} belongs to {max(np.shape(cube.get(ACROSS, 0.0)), default=0)} columns, this line has "
+        f"{columns}",
+        mend="select columns after computing reflectance, or drop the variable",
+        code="columns-selected",
+    )
     relative = float(cube.get(STRAY_U, 0.0))
     problems.add_if(
         not 0.0 <= relative < 1.0,
