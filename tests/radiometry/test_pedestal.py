@@ -10,6 +10,7 @@ import xarray as xr
 import hyperpaint as hp  # noqa: F401 (the accessor)
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
+from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.simulation import simulate_line
 
 # exact signals, which no converter rounds
@@ -178,3 +179,9 @@ def test_the_noise_of_medians_of_few_elements_is_stated() -> None:
     whole, parts = (each.reflectance_u_systematic for each in (whole, parts))
     assert parts.masked_elements == pytest.approx(2 / np.pi / (1 / (2 * COVERED) + 1 / 5))
     assert bool((parts > whole).where(whole > 0, True).all())
+
+
+def test_errors_of_a_mean_know_the_pedestal_of_the_whole_line() -> None:
+    line = declared(flown(), L_SHAPE, ("band", "cross_track")).assign_attrs(pedestal="band")
+    part = line.paint.reflectance(uncertainty=True).isel(cross_track=slice(8, 14)).compute()
+    assert "reflectance_errors" in mean_uncertainty(part)

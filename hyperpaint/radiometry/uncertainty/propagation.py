@@ -390,7 +390,9 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
     is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
-    masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
+    masked = attrs.get(MASKED, 0)  # of the whole line, of which this may be a part
+    if MASKED not in attrs and "masked" in line.variables:
+        masked = masked_elements(line)
     common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
     sources = {name: of(variable) for name, variable in common.items() if variable in values}
     if "irradiance_u_systematic" in values:
@@ -842,7 +844,7 @@ class RegionSums:
         if line.pedestal_variance:
             shared_errors["pedestal"] = np.sqrt(
                 self._pedestal_sums * line.pedestal_variance
-            ) / self._counts_of_pixels.sum(axis=1)
+            ) / np.maximum(self._counts_of_pixels.sum(axis=1), 1)
         if line.dark_offset.any():
             shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
