@@ -283,7 +283,7 @@ MAX_SMEAR_SHARE = 0.5
 #: Largest factor between the response of an element and the trend of its band by which levels are fitted [1].
 MAX_LEVEL = 1.5
 #: Steps of the robust fit of levels: least absolute deviations, then least squares without outliers.
-_LEVEL_STEPS = 20
+_LEVEL_STEPS = 12
 #: Smallest and largest residual by which levels are weighted, in the logarithm and in standard deviations.
 _LEAST_RESIDUAL, _OUTLIER_SD = 1e-6, 5.0
 #: Largest row sum of absolute values of the truncated terms of D [1]. They alternate in sign, so that smooth
@@ -390,6 +390,7 @@ def _levels(gain: Array) -> Floats:
     # band and column are left out of the first fits: many beside one another would bend the parabola.
     position = np.linspace(-1.0, 1.0, gain.shape[1])
     terms = position[:, None] ** np.arange(3)
+    products = (terms[:, :, None] * terms[:, None]).reshape(-1, 9)
     is_finite = np.isfinite(gain)
     values = np.log(np.where(is_finite, gain, 1.0).astype(np.float64))
     values -= _row_medians(values, is_finite)
@@ -397,9 +398,9 @@ def _levels(gain: Array) -> Floats:
     is_fitted = is_finite & (np.abs(residual) <= np.log(MAX_LEVEL))
     weight = is_fitted.astype(np.float64)
     for step in range(_LEVEL_STEPS):
-        normal = np.einsum("bx,xi,xj->bij", weight, terms, terms)
-        moments = np.einsum("bx,xi,bx->bi", weight, terms, values)
-        residual = values - np.einsum("bij,bj,xi->bx", np.linalg.pinv(normal, 1e-10), moments, terms)
+        normal = np.linalg.pinv((weight @ products).reshape(-1, 3, 3), 1e-10)
+        parabola = normal @ ((weight * values) @ terms)[:, :, None]
+        residual = values - parabola[:, :, 0] @ terms.T
         size = np.abs(residual)
         if step < _LEVEL_STEPS - 2:
             weight = is_fitted / np.maximum(size, _LEAST_RESIDUAL)
@@ -429,10 +430,11 @@ def _terms(matrix: Any, name: str) -> StrayTerms:
     share = np.eye(len(matrix)) - inverse_of(np.asarray(matrix, np.float64), name)
     left, size, right = np.linalg.svd(share)
     residual = share.copy()
-    for term in range(len(size) // 2):
+    for term in range(0, len(size) // 2, _PAD):
         if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
-            return StrayTerms(_padded(left[:, :term] * size[:term], 1), _padded(_padded(right[:term], 0), 1))
-        residual -= np.outer(left[:, term] * size[term], right[term])
+            return StrayTerms(_padded(left[:, :term] * size[:term], 1), _padded(right[:term], 1))
+        next_terms = slice(term, term + _PAD)
+        residual -= (left[:, next_terms] * size[next_terms]) @ right[next_terms]
     return StrayTerms(None, _padded(share, 1))
 
 

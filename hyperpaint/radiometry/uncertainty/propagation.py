@@ -842,9 +842,9 @@ class RegionSums:
             name: mean(self._value_sums * relative[:, columns]) for name, relative in line.common.items()
         }
         if line.pedestal_variance:
-            shared_errors["pedestal"] = np.sqrt(
-                self._pedestal_sums * line.pedestal_variance
-            ) / np.maximum(self._counts_of_pixels.sum(axis=1), 1)
+            shared_errors["pedestal"] = np.sqrt(self._pedestal_sums * line.pedestal_variance) / np.maximum(
+                self._counts_of_pixels.sum(axis=1), 1
+            )
         if line.dark_offset.any():
             shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
