@@ -821,7 +821,7 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
         required += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if is_from_counts:
-        required += table_names(dataset.variables)
+        required += (*table_names(dataset.variables), *(["masked"] if "pedestal" in dataset.attrs else ()))
         optional += [name for name in ("masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # for the slope of the responsivity

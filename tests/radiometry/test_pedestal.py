@@ -168,6 +168,8 @@ def test_impossible_pedestals_are_refused(attrs: dict[str, Any], masked: np.ndar
     line = declared(flown(), masked, ("band", "cross_track")).assign_attrs(attrs)
     with pytest.raises(SchemaError, match=code):
         line.paint.radiance().compute()
+    with pytest.raises(SchemaError, match="variable-missing"):
+        line.assign_attrs(pedestal="band").drop_vars("masked").paint.radiance()
 
 
 def test_the_noise_of_medians_of_few_elements_is_stated() -> None:
