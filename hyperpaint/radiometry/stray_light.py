@@ -272,9 +272,9 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
 # --- linearity ---------------------------------------------------------------------------------------------
 
 #: Variables that declare stray light and smear, and the levels of elements.
-STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME, ACROSS, FLAT = (
-    "stray_light", "stray_light_u", "band_shift_time", "stray_light_across", "flat_field",
-)  # fmt: skip
+STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
+ACROSS, FLAT = "stray_light_across", "flat_field"
+STRAY_LIGHT = (STRAY, STRAY_U, SHIFT_TIME, ACROSS, FLAT)
 STRAY_SOURCES = {STRAY, SHIFT_TIME, ACROSS}
 #: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
 MAX_ROW_SUM = 10.0
