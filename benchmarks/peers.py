@@ -334,7 +334,7 @@ def _described() -> Any:
     from benchmarks.bench_render import scene
     from hyperpaint.simulation.atmosphere import Atmosphere
 
-    noon = replace(Atmosphere.clear(30.0, 90.0, haze=None), molecular=None, aureole=None)
+    noon = replace(Atmosphere.clear(30.0, 90.0, haze=None), clear_shares=None)
     height, ground = 40.0, 12.0
     angle = 2.0 * np.degrees(np.arctan(ground / 2.0 / height))
     camera = FrameCamera((0.0, 0.0, height), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), angle, PIXELS, PIXELS)

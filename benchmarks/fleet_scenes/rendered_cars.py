@@ -164,7 +164,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
         changed = clouds.factors(np.nanmean(east), np.nanmean(north), 1.0)
         direct, diffuse = direct * changed[0], diffuse * changed[1]
     line["true_direct"] = "band", direct / (direct + diffuse)
-    shares = [np.interp(BANDS, sky.wavelength, part) for part in (sky.molecular, sky.aureole)]
+    shares = [np.interp(BANDS, sky.wavelength, part) for part in (sky.uniform, *sky.clear_shares)]
     line["true_shares"] = ("share", "band"), np.stack([*shares, np.full(BANDS.size, sky.overcast_share)])
     line.attrs["paints"] = json.dumps(line["paint_id"].attrs["flag_meanings"].split())
     return line
@@ -213,7 +213,7 @@ def _under_sky(line: Any, material: Any, spectra: tuple[Any, ...], view: tuple[f
     Integral of the paint's reflectance factor over the directions of the light, weighted by their shares of
     the level irradiance. ``spectra`` are those of body, flakes, and flakes at right angles.
     """
-    from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
+    from hyperpaint.light.sky_functions import functions_towards
 
     zenith, azimuth = line.attrs["sun_zenith"], line.attrs["sun_azimuth"]
     nodes, weights = np.polynomial.legendre.leggauss(40)
@@ -222,12 +222,9 @@ def _under_sky(line: Any, material: Any, spectra: tuple[Any, ...], view: tuple[f
     angle, turn = np.meshgrid(tilt, np.radians(np.arange(48) * 7.5), indexing="ij")
     cosine = np.cos(angle)
     level = cosine * np.sin(angle) * weights[:, None]
-    from_sun = scattering_cosine(cosine, turn, zenith)
-    molecular, aureole, overcast = line["true_shares"].values[:, :, None, None]
-    parts = [relative_radiance(shape, cosine, from_sun) for shape in function_shapes(float(zenith))]
     # 1.5 cos has the level irradiance of a uniform sky of radiance 1
-    radiance = molecular * parts[0] + aureole * parts[1] + overcast * 1.5 * cosine
-    share = (radiance + 1.0 - molecular - aureole - overcast) * level
+    skies = np.concatenate([functions_towards(zenith, cosine, turn), 1.5 * cosine[None]])
+    share = np.tensordot(line["true_shares"].values.T, skies, 1) * level
     share /= share.sum(axis=(1, 2), keepdims=True)
     dome = np.degrees(angle).ravel(), azimuth + np.degrees(turn).ravel()
     of_sky = factors(material, spectra, dome, view)

@@ -41,8 +41,8 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
+from hyperpaint.light.clear_sky import sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record
-from hyperpaint.light.sky_functions import sunlight_table
 
 from .lamp import (
     FACTORS,

@@ -36,8 +36,8 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.kernels.line_fits import GAUSSIAN, profiles
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.responses import Responses, log_slope
-from hyperpaint.light.sky_functions import ClearSky
 from hyperpaint.radiometry.stray_light import DARK_SUBTRACTED, RAW, Linearity, linearity_of
 
 from .detector import LabSweep, check_sweep, deviant_darks, element_values, listed, refused, row_medians
@@ -614,8 +614,7 @@ def measured_shape(
     response = response / (response.sum() * _TABLE_STEP)
     # change of daylight in a band, 420 to 950 nm, if the model replaces the response
     nm = np.arange(380.0, 1001.0)
-    air_mass = float(1.0 / np.cos(np.radians(_SUN_ZENITH_DEG)))
-    daylight = sum(ClearSky(_SUN_ZENITH_DEG, airmass=air_mass).irradiance(nm))
+    daylight = sum(ClearSky(_SUN_ZENITH_DEG).irradiance(nm))
     width_nm = float(np.median(camera_width))
     daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0

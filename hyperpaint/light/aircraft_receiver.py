@@ -16,9 +16,9 @@ from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import convert, takes_quantities
 from hyperpaint.base.schema import IRRADIANCE_TIME, Array, Floats, label, require
 
+from .clear_sky import sunward_gain
 from .diffuse_record import SKY_STATES, split_of_arrays
 from .illumination import channels_of, check_irradiance_times
-from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
 
 _ANGLES = ("roll", "pitch", "heading")
@@ -148,14 +148,14 @@ def level_irradiance(
     with :math:`f` the diffuse fraction (`hyperpaint.light.diffuse_from_record`), :math:`i` and
     :math:`\theta` the angles of the sun from the sensor's normal and from the zenith, :math:`V` the part of
     the sky in view, :math:`b` the lean towards the sun times :math:`\tan \theta`, :math:`s` the relative gain
-    of a clear sky on that side (`hyperpaint.light.sky_functions.sunward_gain`), :math:`\rho_n` the ground's
+    of a clear sky on that side (`hyperpaint.light.clear_sky.sunward_gain`), :math:`\rho_n` the ground's
     reflectance, and :math:`r`, :math:`\bar r` the response to the beam and to the sky. Under an overcast sky
     light comes from above whatever the attitude: only :math:`\bar r` is corrected.
 
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.sky_functions import ClearSky
+    >>> from hyperpaint.light.clear_sky import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> zenith = solar_position(noon, 50.0, 0.0)[0][0]
     >>> direct, diffuse = (0.967 * part for part in ClearSky(zenith).irradiance(nm))

@@ -19,7 +19,7 @@ import numpy as np
 
 from hyperpaint.base.schema import ArrayLike, Floats
 
-from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
+from .clear_sky import between_nodes, dome, dome_radiance
 
 #: Refractive index of automotive clear coats, 1.48 to 1.55, and its standard uncertainty [1].
 COAT_INDEX, COAT_INDEX_U = 1.5, 0.03
@@ -46,14 +46,11 @@ def _reflectance(cosine: Floats, index: float) -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def _mean_reflectances(sun_zenith: float, index: float) -> tuple[Floats, float]:
-    # mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky
+    # mean reflectance for a clear sky at the nodes of wavelength (node,), and for CIE's overcast sky
     sky = dome()
     reflected = sky.level * _reflectance(sky.cosine, index)
-    from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
-    parts = [relative_radiance(shape, sky.cosine, from_sun) for shape in function_shapes(sun_zenith)]
-    clear = [float(reflected.sum()), *(float((reflected * part).sum()) for part in parts)]
     overcast = (1.0 + 2.0 * sky.cosine) * 3.0 / 7.0
-    return np.array(clear), float((reflected * overcast).sum())
+    return np.tensordot(dome_radiance(sun_zenith), reflected), float((reflected * overcast).sum())
 
 
 def sky_reflectance(
@@ -75,17 +72,14 @@ def sky_reflectance(
     Examples
     --------
     >>> print(sky_reflectance([550.0], None).round(3), sky_reflectance([550.0], 60.0).round(3))
-    [0.092] [0.134]
+    [0.092] [0.139]
     """
-    wavelengths = np.asarray(wavelength, np.float64)
-    functions, overcast = _mean_reflectances(45.0 if sun_zenith is None else float(sun_zenith), float(index))
-    return (
-        np.full(wavelengths.shape, functions[0])
-        if sun_zenith is None
-        else np.asarray(
-            (1.0 - cloud) * (functions @ clear_sky_shares(wavelengths, sun_zenith)) + cloud * overcast
-        )
-    )
+    if sun_zenith is None:
+        sky = dome()
+        uniform = float((sky.level * _reflectance(sky.cosine, index)).sum())
+        return np.full(np.shape(wavelength), uniform)
+    clear, overcast = _mean_reflectances(float(sun_zenith), float(index))
+    return np.asarray((1.0 - cloud) * between_nodes(clear, wavelength) + cloud * overcast)
 
 
 def transmitted_share(

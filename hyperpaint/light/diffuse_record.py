@@ -28,9 +28,9 @@ from hyperpaint.base.schema import (
     require,
 )
 
+from .clear_sky import ClearSky
 from .illumination import channels_of, check_irradiance_times
-from .sky_functions import ClearSky
-from .sun import Scatterers, scattered_light, solar_position
+from .sun import solar_position
 
 #: Words of ``sky_state``, in the order of its numbers.
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
@@ -99,14 +99,14 @@ def diffuse_from_record(
 
     Notes
     -----
-    Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
-    and pressure, and clouds over it. A spectrum alone cannot distinguish a
-    thin neutral cloud from a dirty receiver.
+    Bayes' rule over some 4600 skies drawn from a prior: clear air (`hyperpaint.light.clear_sky`) with varied
+    aerosol, ozone, ground and pressure, and clouds over it. A spectrum alone cannot distinguish a thin
+    neutral cloud from a dirty receiver.
 
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.sky_functions import ClearSky
+    >>> from hyperpaint.light.clear_sky import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> sky = np.tile(0.967 * sum(ClearSky(26.6).irradiance(nm)), (2, 1))
     >>> light = xr.DataArray(
@@ -343,7 +343,7 @@ class SkyRules:
         Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
     colour_u, colour_nm
         Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
-        receiver, and the residual of SPECTRL2 against other models (tests: 2 to 3 %).
+        receiver, and the residual of the model against others (tests: 2 to 3 %).
     wide_u, wide_prior
         Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
         one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
@@ -513,8 +513,7 @@ def _clear_light(
     steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
     points = np.array(centres)[:, None] + steps
     direct, diffuse = (part.reshape(-1, *points.shape) for part in sky.irradiance(points.ravel()))
-    air = Scatterers(aerosol, exponent, pressure * relative, ground)
-    return direct, diffuse, *scattered_light(NODES_NM, sun_zenith, air)
+    return direct, diffuse, *sky.transmittances(NODES_NM)
 
 
 @functools.lru_cache(maxsize=64)

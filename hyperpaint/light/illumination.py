@@ -33,8 +33,8 @@ from hyperpaint.base.schema import (
     label,
 )
 
+from .clear_sky import facing_gain
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
-from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
 #: Relative change of the 400-1000 nm irradiance between two samples above which the light is unstable.
@@ -303,7 +303,7 @@ class Tilt:
     diffuse_fraction : (band,)
         Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.light.sun` by default.
     sky
-        "clear": diffuse light is distributed as under a clear sky (`hyperpaint.light.sky_functions`);
+        "clear": diffuse light is distributed as under a clear sky (`hyperpaint.light.clear_sky`);
         "uniform": evenly. By default clear with the modelled split, uniform with a given one, which may
         belong to any sky.
 
@@ -364,7 +364,7 @@ class Tilt:
         .. math:: E_t = E_{dir} \frac{\cos\theta_i}{\cos\theta_s} + V G E_{dif} + (1 - V) \rho_n E
 
         with :math:`V` the sky view factor, :math:`\rho_n` the ground's reflectance and :math:`G` the gain by
-        the side of a clear sky that the surface faces (`hyperpaint.light.sky_functions.facing_gain`), written
+        the side of a clear sky that the surface faces (`hyperpaint.light.clear_sky.facing_gain`), written
         as a departure from 1, so that a level surface gives exactly 1.
         """
         zenith, sun_azimuth = (np.radians(angle) for angle in solar_position(time, latitude, longitude))

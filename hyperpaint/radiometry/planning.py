@@ -43,6 +43,7 @@ from hyperpaint.base.schema import (
     warn_of_lost_calibration,
 )
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record, warn_of_faults
+from hyperpaint.light.clear_sky import ClearSky, sunward_gain
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
@@ -58,7 +59,6 @@ from hyperpaint.light.illumination import (
     matched_series,
     smile_cells,
 )
-from hyperpaint.light.sky_functions import ClearSky, sunward_gain
 from hyperpaint.light.sun import solar_position
 
 from . import slabs

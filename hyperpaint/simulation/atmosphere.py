@@ -1,12 +1,12 @@
 """Light of the sky, with spectral structure finer than any instrument here, clouds, and haze.
 
 The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Their level is that
-of `hyperpaint.light.sky_functions`, a table at 1 nm; here are lines far narrower than the instruments, as in
-nature, so that a mismatch cannot hide behind shared interpolation. The oxygen A and B bands follow from the
-rotational constants of O2 (Herzberg 1950), with the sharp band head at its place; water lines and weak solar
-lines have random, fixed positions; strong Fraunhofer lines have their true ones. Every cell of 1 nm is scaled
-to the mean of the table: to its sunlight, and to the transmittance of ASTM G173 at an air mass of 1.5. At
-other air masses absorption lines saturate.
+of the tables of `hyperpaint.light.clear_sky`, read here by other interpolation; here are lines far narrower
+than the instruments, as in nature, so that a mismatch cannot hide behind shared interpolation. The oxygen A
+and B bands follow from the rotational constants of O2 (Herzberg 1950), with the sharp band head at its place;
+water lines and weak solar lines have random, fixed positions; strong Fraunhofer lines have their true ones.
+Every cell of 1 nm is scaled to the mean of the tables: to its sunlight, and to the transmittance of direct
+and of diffuse light at the sun's zenith angle.
 
 Clouds over a clear sky, and the air before the camera:
 
@@ -55,12 +55,14 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInterpolator, interp1d
 
 from hyperpaint.base.errors import (
     FormatError,
@@ -82,7 +84,7 @@ from hyperpaint.base.facts import (
 )
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import Floats, require
-from hyperpaint.light.sky_functions import TABLE_AIR_MASS, ClearSky, clear_sky_shares, fit_sky, sunlight_table
+from hyperpaint.light.sky_functions import FUNCTIONS, clear_sky_shares, fit_sky
 from hyperpaint.simulation.settings import moment_of
 
 from .settings import MAX_SEED
@@ -130,49 +132,158 @@ class Sky:
         Ozone column [atm cm].
     water
         Precipitable water relative to that of ASTM G173, 1.416 cm.
-    airmass
-        Relative optical air mass of the direct path; None for that of a plane-parallel atmosphere,
-        1 / cos(sun_zenith), which is 5 % too long at 82 degrees and 11 % at 85.
 
     Examples
     --------
     >>> wavelength = spectral_grid(500.0, 600.0)
     >>> direct, diffuse = Sky().irradiance(wavelength)
     >>> round(float((direct + diffuse)[1000]), 2)
-    1.55
+    1.54
     """
 
     sun_zenith: float = 25.0
     aerosol: float = 0.10
     ozone: float = 0.31
     water: float = 1.0
-    airmass: float | None = None
 
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
         # direct and diffuse irradiance of a level surface [W m-2 nm-1]
-        mass = 1.0 / np.cos(np.radians(self.sun_zenith)) if self.airmass is None else self.airmass
+        table, data = _sunlight(), _data()
         # the tails of wide responses reach beyond the table, whose ends stand for what lies there
-        wavelength = wavelength.clip(*sunlight_table().wavelength[[0, -1]])
-        sky = ClearSky(self.sun_zenith, self.aerosol, ozone=self.ozone, water=self.water, airmass=float(mass))
-        fine = _fine_structure()
-        # below its cells, and beyond them, the table itself
-        mixed, water = (np.interp(wavelength, fine.wavelength, part) for part in (fine.mixed, fine.water))
-        return sky.below(wavelength, solar_irradiance(wavelength), mixed + self.water * water)
+        wavelength = wavelength.clip(*table.wavelength[[0, -1]])
+        mass, cosine = relative_air_mass(self.sun_zenith), np.cos(np.radians(self.sun_zenith))
+        # scattering, smooth in wavelength; outside 330 to 1150 nm the quotients of the tables are held
+        nm = np.concatenate([np.arange(300.0, 1200.0, 5.0), np.arange(1200.0, 2501.0, 50.0)])
+        log_air = CubicSpline(np.log(data["path_wavelength"]), np.log(data["rayleigh"]))(np.log(nm))
+        air, particles = np.exp(log_air), self.aerosol * (nm / 500.0) ** -_ANGSTROM
+        held_air = -log_air.clip(*np.log(data["rayleigh"])[[-1, 0]])
+        held_particles = np.sqrt(particles.clip(0.0, data["aerosol"][-1]))
+        diffuse_spline, albedo_spline = _splines()
+        sun = np.full(nm.shape, min(self.sun_zenith, data["sun"][-1]))
+        quotient = np.exp(diffuse_spline(np.stack([held_air, held_particles, sun], axis=-1)))
+        direct = np.exp(-(air + particles) * mass)
+        diffuse = -quotient * np.expm1(-mass * (0.5 * air + 0.7 * particles))
+        returned = _GROUND * albedo_spline(held_air, held_particles, grid=False)
+        diffuse += (direct + diffuse) * returned / (1.0 - returned)
+        # gases: smooth ones at 1 nm, oxygen and water by lines
+        light = solar_irradiance(wavelength) * cosine
+        depths = self._gas_depths(mass)
+        parts = [
+            light * CubicSpline(nm, scattered)(wavelength) * np.exp(-_resolved(wavelength, *depth))
+            for scattered, depth in zip((direct, diffuse), depths, strict=True)
+        ]
+        return parts[0], parts[1]
+
+    def _gas_depths(self, mass: float) -> tuple[tuple[Floats, Floats, Floats], ...]:
+        # slant depths of smooth gases, oxygen and water in the cells of the table of sunlight, of both lights
+        table, data = _sunlight(), _data()
+        cells = table.wavelength
+        logs = [np.log(data[name]) for name in ("mass", "water")]
+        inside = (cells >= data["line"][0]) & (cells <= data["line"][-1])
+        in_cells = {
+            name: interp1d(data["line"], data[name], axis=0, bounds_error=False, fill_value=0.0)(cells)
+            for name in ("oxygen_depth", "water_depth", "ozone", "continuum")
+        }
+
+        def slant(name: str, mass: Floats) -> Floats:
+            # linear in the logarithms of depth, air mass and water; in proportion outside the tables
+            depth = np.log(np.maximum(in_cells[name], 1e-9))
+            if name == "water_depth":
+                log_water = np.log(max(self.water, 1e-3) * _USUAL_WATER)
+                depth = interp1d(logs[1], depth, axis=2)(np.clip(log_water, *logs[1][[0, -1]]))
+                depth += min(0.0, log_water - logs[1][0])
+            at_mass = np.log(mass.clip(1.0, data["mass"][-1]))
+            rows = [np.interp(at, logs[0], row) for at, row in zip(at_mass, depth, strict=True)]
+            beyond = table.water * self.water if name == "water_depth" else table.mixed
+            return np.where(inside, np.exp(rows) * np.minimum(mass, 1.0), beyond * mass)
+
+        particles = self.aerosol * (cells / 500.0) ** -_ANGSTROM
+        axes = (
+            np.log(data["path_depth"]),
+            np.log(data["path_wavelength"]),
+            np.sqrt(data["path_aerosol"]),
+            data["path_sun"],
+        )
+
+        def diffuse_mass(gas: int, vertical: Floats) -> Floats:
+            # air mass of the diffuse light for a gas of a vertical depth
+            depth = np.log((0.5 * np.maximum(vertical, 1e-6) ** 0.65).clip(0.05, 1.0))
+            place = np.broadcast_arrays(depth, np.log(cells), np.sqrt(particles), self.sun_zenith)
+            held = [at.clip(axis[0], axis[-1]) for at, axis in zip(place, axes, strict=True)]
+            return np.asarray(
+                RegularGridInterpolator(axes, data["diffuse_air_mass"][gas])(np.stack(held, axis=-1))
+            )
+
+        ozone = np.where(inside, in_cells["ozone"], table.ozone) * self.ozone
+        ones, none = np.ones(cells.shape), np.zeros(cells.shape)
+        height = 22.0 / 6370.0
+        ozone_path = (1.0 + height) / np.sqrt(np.cos(np.radians(self.sun_zenith)) ** 2 + 2.0 * height)
+        direct = (
+            ozone * ozone_path + in_cells["continuum"] * mass,
+            slant("oxygen_depth", mass * ones),
+            slant("water_depth", mass * ones),
+        )
+        diffuse = (
+            ozone * diffuse_mass(2, none) + in_cells["continuum"] * diffuse_mass(0, none),
+            slant("oxygen_depth", diffuse_mass(0, slant("oxygen_depth", ones))),
+            slant("water_depth", diffuse_mass(1, slant("water_depth", ones))),
+        )
+        return direct, diffuse
+
+
+#: Exponent of the aerosol, reflectance of the surroundings, and water of ASTM G173 [cm].
+_ANGSTROM, _GROUND, _USUAL_WATER = 1.14, 0.2, 1.416
+
+
+@functools.cache
+def _data() -> dict[str, Floats]:
+    # tables of DISORT and of gases, see `hyperpaint.light.clear_sky`; read here by splines of scipy, so that
+    # an error of the chain's interpolation shows
+    with resources.files("hyperpaint.light").joinpath("clear_sky.npz").open("rb") as file:
+        arrays = np.load(file)
+        return {name: arrays[name].astype(np.float64) for name in arrays.files}
+
+
+class _Sunlight(NamedTuple):
+    # The columns of ``sunlight_1nm.csv``, see `hyperpaint.light.clear_sky.SunlightTable`
+    wavelength: Floats
+    extraterrestrial: Floats
+    ozone: Floats
+    mixed: Floats
+    water: Floats
+
+
+@functools.cache
+def _sunlight() -> _Sunlight:
+    with resources.files("hyperpaint.light").joinpath("sunlight_1nm.csv").open(encoding="utf-8") as file:
+        rows = [line for line in file if line[0].isdigit()]
+    return _Sunlight(*np.loadtxt(rows, delimiter=",", unpack=True))
+
+
+@functools.cache
+def _splines() -> tuple[RegularGridInterpolator, RectBivariateSpline]:
+    # splines of the quotient of diffuse light, and of spherical albedo
+    data = _data()
+    axes = -np.log(data["rayleigh"]), np.sqrt(data["aerosol"]), data["sun"]
+    return (
+        RegularGridInterpolator(axes, data["diffuse_rural"], "cubic"),
+        RectBivariateSpline(*axes[:2], data["spherical_albedo_rural"]),
+    )
 
 
 def solar_irradiance(wavelength: Floats) -> Floats:
     # Sun's irradiance above the atmosphere, with its lines [W m-2 nm-1].
-    table, fine = sunlight_table(), _fine_structure()
+    table, fine = _sunlight(), _fine_structure()
     lines = np.interp(wavelength, fine.wavelength, fine.lines)
     return np.asarray(np.interp(wavelength, table.wavelength, table.extraterrestrial) * lines)
 
 
-# Spectral structure below 1 nm; every part has shape (wavelength,).
+# Spectral structure below 1 nm.
 class _FineStructure(NamedTuple):
-    wavelength: Floats  # steps of `GRID_STEP` where there are lines, those of the table elsewhere
-    lines: Floats  # of the sun: a factor whose mean over 1 nm is 1
-    mixed: Floats  # optical depth of oxygen for one air mass
-    water: Floats  # and of the usual water
+    wavelength: Floats  # (wavelength,): steps of `GRID_STEP` where there are lines
+    lines: Floats  # (wavelength,) of the sun: a factor whose mean over 1 nm is 1
+    oxygen: Floats  # (cell, point): how the depth of a cell is spread, mean 1
+    water: Floats  # (cell, point)
 
 
 _LINED = (300.0, 1100.0)  # nm
@@ -180,7 +291,6 @@ _LINED = (300.0, 1100.0)  # nm
 
 @functools.cache
 def _fine_structure() -> _FineStructure:
-    table = sunlight_table()
     per_cell = round(1.0 / GRID_STEP)
     first, last = _LINED
     # cells reach half a step of the table to both sides of its wavelengths
@@ -192,47 +302,53 @@ def _fine_structure() -> _FineStructure:
         solar *= 1.0 - depth * np.exp(-4 * np.log(2) * ((nm - centre) / width) ** 2)
     half = per_cell // 2
     means = np.convolve(np.pad(solar, half, mode="edge"), np.full(per_cell, 1.0 / per_cell), "same")
-    cells = np.searchsorted(table.wavelength, np.arange(first, last + 1.0))
-    beyond = table.wavelength > last + 1.0
 
-    def scaled(lines: Floats, depths: Floats) -> Floats:
-        # Optical depths whose mean transmittance in every cell equals that of the table. ``lines`` says how
-        # the depth is spread; a tenth of its mean is a continuum, so that there is an answer where a cell has
-        # no line. Transmittances are those at the air mass of the table. Bisection.
-        lines, depth = lines.reshape(-1, per_cell), depths[cells]
-        shape = lines + 0.1 * lines.mean(axis=1, keepdims=True) + 1e-6
-        target = np.exp(-TABLE_AIR_MASS * depth)
-        low, high = np.zeros(depth.shape), np.full(depth.shape, 1e9)
-        for _ in range(100):
-            middle = np.where(high < 1e8, 0.5 * (low + high), np.maximum(4.0 * low, 1e-3))
-            left = np.exp(-TABLE_AIR_MASS * middle[:, None] * shape).mean(axis=1)
-            low, high = np.where(left > target, middle, low), np.where(left > target, high, middle)
-        return np.append(np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0).ravel(), depths[beyond])
+    def spread(lines: Floats) -> Floats:
+        # a tenth of the mean is a continuum, so that there is an answer where a cell has no line
+        cells = lines.reshape(-1, per_cell)
+        shape = cells + 0.1 * cells.mean(axis=1, keepdims=True) + 1e-6
+        return np.asarray(shape / shape.mean(axis=1, keepdims=True))
 
     rng = np.random.default_rng([_NATURE, 1])
     water = np.zeros_like(nm)
-    for centre, spread, number, depth in _WATER:
-        centres = rng.normal(centre, spread, number)
+    for centre, width, number, depth in _WATER:
+        centres = rng.normal(centre, width, number)
         water += _sum_of_lines(nm, centres, rng.exponential(depth, number), _LINE_WIDTH)
-    # Optical depth at one air mass. Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the
-    # R branch, which turns back into the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1
-    # apart. Strengths follow the Boltzmann factor of the lower level at 270 K.
+    # Lines of oxygen stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the R branch, which
+    # turns back into the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1 apart. Strengths
+    # follow the Boltzmann factor of the lower level at 270 K.
     odd = np.arange(1, 42, 2)
     population = (2 * odd + 1) * np.exp(-_SECOND_RADIATION / 270.0 * _OXYGEN_GROUND * odd * (odd + 1))
     population /= population.max()
-    total = np.zeros_like(nm)
+    oxygen = np.zeros_like(nm)
     for origin, upper, strength in _OXYGEN:
         for m in (odd + 1.0, -1.0 * odd):
             wavenumber = origin + (upper + _OXYGEN_GROUND) * m + (upper - _OXYGEN_GROUND) * m**2
             for split in (0.0, -2.0):
                 centres = 1e7 / (wavenumber + split) / 1.000275  # in air
-                total += _sum_of_lines(nm, centres, 0.5 * strength * population, _LINE_WIDTH)
-    return _FineStructure(
-        wavelength=np.append(nm, table.wavelength[beyond]),
-        lines=np.append(solar / means[half:-half], np.ones(beyond.sum())),
-        mixed=scaled(total, table.mixed),
-        water=scaled(water, table.water),
-    )
+                oxygen += _sum_of_lines(nm, centres, 0.5 * strength * population, _LINE_WIDTH)
+    return _FineStructure(nm, solar / means[half:-half], spread(oxygen), spread(water))
+
+
+def _resolved(wavelength: Floats, smooth: Floats, oxygen: Floats, water: Floats) -> Floats:
+    # Return the optical depth of all gases, with their lines.
+    #
+    # Depths are those of the cells of the table of sunlight. Lines are scaled so that the mean transmittance
+    # of a cell of 1 nm is that of its depth; outside their range the table stands for them.
+    table, fine = _sunlight(), _fine_structure()
+    centres = np.arange(_LINED[0], _LINED[1] + 1.0)
+    total = np.interp(wavelength, table.wavelength, smooth)
+    is_lined = (wavelength >= fine.wavelength[0]) & (wavelength <= fine.wavelength[-1])
+    for shape, depth in ((fine.oxygen, oxygen), (fine.water, water)):
+        cells = np.interp(centres, table.wavelength, depth)
+        low, high = cells.copy(), np.full(cells.shape, 1e9)  # the mean depth is at least that of the mean
+        for _ in range(80):
+            middle = np.where(high < 1e8, 0.5 * (low + high), 4.0 * low)
+            is_shallow = np.exp(-middle[:, None] * shape).mean(axis=1) > np.exp(-cells)
+            low, high = np.where(is_shallow, middle, low), np.where(is_shallow, high, middle)
+        lines = np.interp(wavelength, fine.wavelength, (low[:, None] * shape).ravel())
+        total += np.where(is_lined, lines, np.interp(wavelength, table.wavelength, depth))
+    return total
 
 
 def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:
@@ -368,19 +484,14 @@ def built_in_sky(
 ) -> tuple[Floats, Floats]:
     # Return direct normal and diffuse level irradiance of the simulator's own sky [W m-2 nm-1].
     #
-    # The model of `hyperpaint.simulation.atmosphere.Sky`, with the air mass of Kasten & Young in place of 1 /
-    # cos(zenith), at increasing wavelengths [nm]; all else as for `Sky`.
+    # The model of `Sky` at increasing wavelengths [nm]; all else as there.
     #
     # Raises `SchemaError`: A number is outside its range in `SKY`, or the wavelengths are no grid.
     check_wavelengths(wavelength)
     check_sky(sun_zenith=sun_zenith, aerosol=aerosol, water=water)
-    direct, diffuse = Sky(
-        sun_zenith=sun_zenith,
-        aerosol=aerosol,
-        ozone=ozone,
-        water=water,
-        airmass=relative_air_mass(sun_zenith),
-    ).irradiance(wavelength)
+    direct, diffuse = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water).irradiance(
+        wavelength
+    )
     # Sky gives the direct light of a level surface
     return direct / np.cos(np.radians(sun_zenith)), diffuse
 
@@ -407,8 +518,7 @@ def clear_spread(
     # shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
     # Without direct light (``sun`` [W m-2 nm-1]) they are 0; an ``overcast_share`` reduces them.
     clear = max(0.0, 1.0 - overcast_share / CIE_OVERCAST_SHARE) if np.any(sun) else 0.0
-    _, molecular, aureole = clear * clear_sky_shares(wavelength, sun_zenith, aerosol)
-    return {"molecular": molecular, "aureole": aureole}
+    return {"clear_shares": clear * clear_sky_shares(wavelength, sun_zenith, aerosol)[1:]}
 
 
 #: Share of the cosine part in the diffuse irradiance of a CIE overcast sky.
@@ -639,10 +749,6 @@ _CURVES = {
     "extinction": ("m-1", "Extinction coefficient of the air near the ground"),
     "path_radiance": ("W m-2 sr-1 nm-1 m-1", "Radiance that a metre of path adds"),
 }
-_SHARES = {
-    "molecular": ("1", "Share of skylight that is spread as molecules scatter it"),
-    "aureole": ("1", "Share of skylight that is spread around the sun, as aerosol scatters it"),
-}
 _NUMBERS = {
     name: (SKY[name].unit or "1", SKY[name].doc.capitalize())
     for name in ("sun_zenith", "sun_azimuth", "overcast_share")
@@ -684,9 +790,9 @@ class Atmosphere:
         Name of the atmosphere.
     haze
         Source of extinction and path radiance; None if these were passed.
-    molecular, aureole
+    clear_shares
         Shares of the diffuse irradiance that are distributed like the functions of a clear sky
-        (`hyperpaint.light.sky_functions`), shape (wavelength,) [1]; None for 0. The rest is uniform.
+        (`hyperpaint.light.sky_functions`), shape (function, wavelength) [1]; None for 0. The rest is uniform.
 
     Raises
     ------
@@ -698,7 +804,7 @@ class Atmosphere:
     --------
     >>> noon = Atmosphere.clear(25.0)
     >>> round(float(np.interp(550.0, noon.wavelength, noon.irradiance)), 1)
-    1.6
+    1.5
     """
 
     wavelength: Floats
@@ -711,33 +817,32 @@ class Atmosphere:
     overcast_share: float = 0.0
     name: str = ""
     haze: Haze | None = None
-    molecular: Floats = None  # type: ignore[assignment]  # None becomes zeros
-    aureole: Floats = None  # type: ignore[assignment]
+    clear_shares: Floats = None  # type: ignore[assignment]  # None becomes zeros
 
     def __post_init__(self) -> None:
-        for name in _SHARES:
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(np.shape(self.wavelength)))
-        for name in ("wavelength", *_CURVES, *_SHARES):
+        if np.ndim(self.clear_shares) == 0:
+            no_shares = np.zeros((len(FUNCTIONS) - 1, *np.shape(self.wavelength)))
+            object.__setattr__(self, "clear_shares", no_shares)
+        for name in ("wavelength", *_CURVES, "clear_shares"):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)  # presets are shared objects
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
-        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
+        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES)})
         check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
-        if not problems and self.uniform.min(initial=0.0) < -1e-9:
-            total = 1.0 - self.uniform.min()
-            problems.add(
-                f"overcast_share + molecular + aureole is {total:.4g}",
-                expected="at most 1",
-                code="shares-too-large",
-            )
+        shares, expected = self.clear_shares, (len(FUNCTIONS) - 1, *np.shape(self.wavelength))
+        problems.add_if(
+            shares.shape != expected or not np.isfinite(shares).all(),
+            f"clear_shares has shape {shares.shape}, {int((~np.isfinite(shares)).sum())} values not finite",
+            expected=f"finite values of shape {expected}",
+            code="length-mismatch",
+        )
         problems.raise_if_any()
 
     @property
     def uniform(self) -> Floats:
         # Share of the diffuse irradiance that is uniform, shape (wavelength,) [1].
-        return np.asarray(1.0 - self.overcast_share - self.molecular - self.aureole)
+        return np.asarray(1.0 - self.overcast_share - self.clear_shares.sum(axis=0))
 
     @property
     def sun_cosine(self) -> float:
@@ -994,7 +1099,7 @@ class Atmosphere:
             }
             if "sky_radiance" in sky_table:
                 fit = fit_sky(sky_table, sun_zenith)
-                fitted = {key: fit["share"].sel(function=key).values for key in _SHARES}
+                fitted = {"clear_shares": fit["share"].transpose("function", ...).values[1:]}
                 if (max_residual := float(fit["misfit"].max())) > _MAX_RESIDUAL:
                     source = sky_table.attrs.get("source", "the table")
                     warn_user(
@@ -1054,24 +1159,29 @@ class Atmosphere:
             sky=sky,
             path_radiance=path,
             overcast_share=(1.0 - cover) * self.overcast_share + cover * CIE_OVERCAST_SHARE,
-            molecular=(1.0 - cover) * self.molecular,
-            aureole=(1.0 - cover) * self.aureole,
+            clear_shares=(1.0 - cover) * self.clear_shares,
             name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
         )
 
     def to_dataset(self) -> xr.Dataset:
         # Return the curves as labelled variables on ``wavelength``, with CF units.
-        variables = {
+        variables: dict[str, Any] = {
             name: (
                 () if name in _NUMBERS else "wavelength",
                 np.asarray(getattr(self, name), np.float64),
                 {"units": units, "long_name": text},
             )
-            for name, (units, text) in (_CURVES | _SHARES | _NUMBERS).items()
+            for name, (units, text) in (_CURVES | _NUMBERS).items()
         }
+        variables["clear_shares"] = (
+            ("function", "wavelength"),
+            self.clear_shares,
+            {"units": "1", "long_name": "Shares of skylight with the functions of a clear sky"},
+        )
         grid = ("wavelength", self.wavelength, {"units": "nm", "long_name": "Wavelength"})
         haze = "" if self.haze is None else json.dumps(asdict(self.haze))
-        return xr.Dataset(variables, {"wavelength": grid}, {"name": self.name, "haze": haze})
+        coords = {"wavelength": grid, "function": list(FUNCTIONS[1:])}
+        return xr.Dataset(variables, coords, {"name": self.name, "haze": haze})
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Atmosphere:
@@ -1082,12 +1192,21 @@ class Atmosphere:
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
             problems.add_if(name not in dataset.variables, f"{name!r} is missing", code="variable-missing")
+        has_shares = "clear_shares" in dataset.variables
+        problems.add_if(
+            "aureole" in dataset.variables
+            or (has_shares and dataset["function"].values.tolist() != list(FUNCTIONS[1:])),
+            "its clear sky is that of another version",
+            expected=f"functions {', '.join(FUNCTIONS[1:])}",
+            mend="make the atmosphere anew",
+            code="trace-outdated",
+        )
         problems.raise_if_any()
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
         )
         # older datasets without shares have a uniform sky
-        shares = {name: convert(dataset[name], "1").values for name in _SHARES if name in dataset.variables}
+        shares: Any = convert(dataset["clear_shares"], "1").values if has_shares else None
         zenith, azimuth, share = (
             float(convert(dataset[name], units)) for name, (units, _) in _NUMBERS.items()
         )
@@ -1102,7 +1221,7 @@ class Atmosphere:
                 code="metadata-damaged",
             ) from error
         name = str(dataset.attrs.get("name", ""))
-        return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
+        return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, shares)
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:

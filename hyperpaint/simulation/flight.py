@@ -42,7 +42,6 @@ from .atmosphere import (
     Sky,
     clear_spread,
     cloud_transmittance,
-    relative_air_mass,
     spectral_grid,
 )
 from .camera import BandSet, Camera, convolve_gaussian, expected_counts
@@ -86,11 +85,9 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     --------
     >>> direct, diffuse = sky_irradiance("overcast", 25.0, np.array([550.0, 850.0]))
     >>> direct, diffuse.round(3)
-    (array([0., 0.]), array([0.362, 0.17 ]))
+    (array([0., 0.]), array([0.36, 0.17]))
     """
-    # for a low sun the air mass accounts for the curvature of the atmosphere
-    airmass = relative_air_mass(sun_zenith) if sky == "near_sunset" else None
-    clear_sky = np.stack(Sky(sun_zenith, airmass=airmass).irradiance(wavelength))
+    clear_sky = np.stack(Sky(sun_zenith).irradiance(wavelength))
     if sky == "overcast":
         diffuse = clear_sky.sum(axis=0) * cloud_transmittance(wavelength, _OVERCAST_OKTAS)
         return np.stack([np.zeros_like(diffuse), diffuse])

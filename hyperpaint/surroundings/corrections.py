@@ -21,17 +21,10 @@ from hyperpaint.base.errors import Problems, SchemaError, needs_extra, warn_user
 from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE, Floats
+from hyperpaint.light.clear_sky import air_mass, radiance_towards_sun, sunward_gain, zenith_radiance
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
-from hyperpaint.light.sky_functions import (
-    clear_sky_shares,
-    function_shapes,
-    relative_radiance,
-    scattering_cosine,
-    sunward_gain,
-    zenith_radiance,
-)
-from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 from .detection_rules import MIRROR
 
@@ -41,7 +34,7 @@ SOURCES = ("model", "pvlib", "shadow")
 #: Variables of a line that determine the position of the sun.
 SUN_FROM = ("time", "latitude", "longitude")
 
-#: Distributions of sky radiance: clear (`hyperpaint.light.sky_functions`), uniform, and CIE's overcast sky.
+#: Distributions of sky radiance: clear (`hyperpaint.light.clear_sky`), uniform, and CIE's overcast sky.
 SKIES = ("clear", "uniform", "overcast")
 
 #: Zenith radiance of a CIE overcast sky over the radiance of a uniform sky with the same irradiance [1].
@@ -395,11 +388,8 @@ def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple
         return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero
     zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
     above = zenith_radiance(wavelength, zenith)
-    cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))
-    from_sun = scattering_cosine(cosine, np.array(0.0), zenith)
-    shapes = function_shapes(zenith)
-    radiances = np.array([1.0, *(relative_radiance(shape, cosine, from_sun) for shape in shapes)])
-    return above, np.maximum(radiances @ clear_sky_shares(wavelength, zenith) - above, 0.0)
+    near_sun = radiance_towards_sun(wavelength, zenith, max(zenith - MIRROR.from_sun_deg, 0.0))
+    return above, np.maximum(near_sun - above, 0.0)
 
 
 #: Attributes of reflectance that record corrections.
@@ -558,7 +548,7 @@ def correct_light(
     .. math:: \rho = \rho_{obs} / (c f_{dir} + V (1 + g (c - 1)) f_{dif} + (1 - V) \rho_n)
 
     with the gain g of diffuse light of a surface that leans towards the sun, 0 but under a clear sky
-    (`hyperpaint.light.sky_functions.sunward_gain`; to first order, up to `MAX_TILT_GAIN` of c).
+    (`hyperpaint.light.clear_sky.sunward_gain`; to first order, up to `MAX_TILT_GAIN` of c).
 
     Examples
     --------
@@ -566,7 +556,7 @@ def correct_light(
     >>> seen = xr.DataArray(np.float32([0.4, 0.4]), dims="band", attrs={"units": "1"})
     >>> paint = xr.Dataset({"reflectance": seen}, {"wavelength": ("band", [410.0, 850.0], {"units": "nm"})})
     >>> correct_light(paint, direct=1.1, sun_zenith=30.0).reflectance.values.round(3)
-    array([0.369, 0.364], dtype=float32)
+    array([0.37 , 0.364], dtype=float32)
     """
     plain = {
         name: value

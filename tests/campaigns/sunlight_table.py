@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.light import sky_functions
+from hyperpaint.light import clear_sky
 
 HEAD = """\
 # Sunlight above the air and what gases take of it, at 1 nm (5 nm beyond 1700 nm).
@@ -50,4 +50,4 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    Path(sky_functions.__file__).with_name("sunlight_1nm.csv").write_text(table(), encoding="utf-8")
+    Path(clear_sky.__file__).with_name("sunlight_1nm.csv").write_text(table(), encoding="utf-8")

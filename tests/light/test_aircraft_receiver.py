@@ -11,7 +11,7 @@ from support.refusals import expect_error
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.light import level_irradiance
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 
 
 def errors(flown: Leaning, record: xr.Dataset) -> np.ndarray:

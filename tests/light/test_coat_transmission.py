@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.disort_sky import relative_sky
 from oracles.scattered_sky import sky_radiance
 
 from hyperpaint.light.coat_transmission import interface_reflectance, sky_reflectance, transmitted_share
@@ -64,14 +65,17 @@ def test_returns_inside_the_coat_are_common_to_all_geometries(albedo: float) -> 
         assert float(into * out / near) == pytest.approx(float(ratio[0]), rel=1e-4)
 
 
-def test_levels_of_white_and_silver_close() -> None:
-    # Panels that were seen at 60, 65 and 45 degrees, issue 16: 0.917 to 0.980 of their own
-    def share(sun: float, nm: float = 600.0) -> float:
-        f, sky = diffuse_fraction([nm], sun), sky_reflectance([nm], sun)
-        return float(transmitted_share(f, sky, sun)[0])
-
-    assert 0.935 / share(60.0) == pytest.approx(0.99, abs=0.012)
-    assert 0.950 / share(60.0) == pytest.approx(1.00, abs=0.012)
-    assert 0.917 / share(65.0) == pytest.approx(0.995, abs=0.012)
-    assert 0.980 / share(45.0) == pytest.approx(0.996, abs=0.012)
-    assert share(0.0) > 0.98
+@pytest.mark.parametrize("sun", [0.0, 45.0, 60.0, 75.0])
+def test_the_share_under_another_reading_of_the_sky(sun: float) -> None:
+    # Sums over a degree's steps of the tables' sky by splines, with Fresnel by Snell's law
+    zenith, azimuth = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.0, 180.0, 2.0)))
+    weight = np.cos(zenith) * np.sin(zenith)
+    lost = np.vectorize(lambda angle: plain_fresnel(angle, 1.5))(np.degrees(zenith))
+    entering = 1.0 - (plain_fresnel(sun, 1.5) if sun else 0.04)
+    for nm in (450.0, 600.0, 850.0):
+        sky = weight * relative_sky(nm, sun, np.cos(zenith), azimuth)
+        of_sky = float((sky * lost).sum() / sky.sum())
+        assert sky_reflectance([nm], sun)[0] == pytest.approx(of_sky, rel=3e-3)
+        f = diffuse_fraction([nm], sun)
+        expected = ((1.0 - f) * entering + f * (1.0 - of_sky)) / 0.96
+        np.testing.assert_allclose(transmitted_share(f, sky_reflectance([nm], sun), sun), expected, rtol=3e-4)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
+from hyperpaint.light.clear_sky import air_mass
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 PLACES = [(43.08, -77.67), (-33.9, 151.2), (0.0, 0.0), (69.6, 18.9), (64.1, -21.9), (-54.8, -68.3)]
 
@@ -47,30 +48,6 @@ def test_air_mass() -> None:
 )
 def test_diffuse_fraction_of_the_notes(zenith: float, expected: list[float]) -> None:
     found = diffuse_fraction([400.0, 450.0, 550.0, 650.0, 850.0], zenith)
-    np.testing.assert_allclose(found, expected, atol=0.03)
-
-
-@pytest.mark.parametrize("zenith", [10.0, 40.0, 65.0])
-@pytest.mark.parametrize("depth", [0.05, 0.3])
-def test_diffuse_fraction_is_that_of_spectrl2(zenith: float, depth: float) -> None:
-    full = pytest.importorskip("pvlib").spectrum.spectrl2(
-        apparent_zenith=zenith,
-        aoi=zenith,
-        surface_tilt=0,
-        ground_albedo=0.2,
-        surface_pressure=101_325,
-        relative_airmass=float(air_mass(zenith)),
-        precipitable_water=1.5,
-        ozone=0.31,
-        aerosol_turbidity_500nm=depth,
-        dayofyear=172,
-    )
-    wavelength = full["wavelength"]
-    beam = full["dni"].ravel() * np.cos(np.radians(zenith))
-    sky = full["dhi"].ravel()
-    inside = (wavelength >= 400) & (wavelength <= 1000) & (beam + sky > 0.1)
-    expected = (sky / (beam + sky))[inside]
-    found = diffuse_fraction(wavelength[inside], zenith, aerosol_optical_depth=depth)
     np.testing.assert_allclose(found, expected, atol=0.03)
 
 

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from oracles.disort_sky import relative_sky
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.sky_functions import zenith_radiance
+from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 NM = np.linspace(420.0, 980.0, 12)
@@ -44,17 +45,13 @@ def signature(seen: xr.Dataset, **options: Any) -> xr.Dataset:
 
 
 def mean_sky(n: float) -> np.ndarray:
-    # Return a clear sky's mean of Fresnel's reflectance, by sums over its functions in steps of a degree
-    from hyperpaint.light.sky_functions import clear_sky_shares, function_shapes, relative_radiance
-
-    zenith, azimuth = np.meshgrid(np.arange(0.5, 90.0), np.arange(1.0, 360.0, 2.0), indexing="ij")
-    z, a, s = np.radians(zenith), np.radians(azimuth), np.radians(SUN)
-    from_sun = np.cos(z) * np.cos(s) + np.sin(z) * np.sin(s) * np.cos(a)
-    weight = np.cos(z) * np.sin(z)
-    functions = [np.ones(z.shape), *(relative_radiance(c, np.cos(z), from_sun) for c in function_shapes(SUN))]
-    lost = np.vectorize(lambda angle: fresnel(angle, n))(zenith[:, 0])[:, None]
-    means = [(weight * each * lost).sum() / (weight * each).sum() for each in functions]
-    return np.array(means) @ clear_sky_shares(NM, SUN)
+    # Return a clear sky's mean of Fresnel's reflectance, by sums over another reading of its tables
+    zenith, azimuth = np.meshgrid(
+        np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.0, 180.0, 2.0)), indexing="ij"
+    )
+    lost = np.vectorize(lambda angle: fresnel(angle, n))(np.degrees(zenith[:, 0]))[:, None]
+    skies = [np.cos(zenith) * np.sin(zenith) * relative_sky(nm, SUN, np.cos(zenith), azimuth) for nm in NM]
+    return np.array([(sky * lost).sum() / sky.sum() for sky in skies])
 
 
 @pytest.mark.parametrize("n", [1.5, 1.47])

@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
-from hyperpaint.light.sky_functions import zenith_radiance
+from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels, regions_from
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.plausibility import KINDS
 from hyperpaint.plausibility.line_judging import CubeSample, judge_dark
 from hyperpaint.plausibility.product_judging import Product, judge_product

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.plausibility.line_judging import (
     CubeSample,
     judge_bands,

@@ -9,7 +9,7 @@ from support.strategies import flight, values
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 

@@ -21,7 +21,7 @@ import pytest
 from oracles.mitsuba_scenes import FrameCamera, write_mesh
 
 import hyperpaint as hp
-from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
+from hyperpaint.light.sky_functions import functions_towards
 from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
@@ -269,11 +269,11 @@ def environment(sky: Atmosphere) -> np.ndarray:
     rows, columns = 1025, 2048
     zenith = np.linspace(0.0, np.pi, rows)[:, None]
     azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi - np.radians(AZIMUTH)
-    cosine, from_sun = np.cos(zenith) + 0.0 * azimuth, scattering_cosine(np.cos(zenith), azimuth, ZENITH)
+    cosine = np.cos(zenith) + 0.0 * azimuth
     above = np.maximum(cosine, 0.0)
-    parts = [np.ones(cosine.shape), 1.5 * above]
-    parts += [relative_radiance(shape, above, from_sun) for shape in function_shapes(ZENITH)]
-    shares = sky.uniform, sky.overcast_share + 0.0 * sky.sky, sky.molecular, sky.aureole
+    uniform, *clear = functions_towards(ZENITH, np.maximum(cosine, 1e-6), azimuth + 0.0 * zenith)
+    parts = [uniform, 1.5 * above, *clear]
+    shares = sky.uniform, sky.overcast_share + 0.0 * sky.sky, *sky.clear_shares
     even = [at_bands(sky, sky.sky * share) / np.pi for share in shares]
     radiance = sum(part[..., None] * level for part, level in zip(parts, even, strict=True))
     return np.where(cosine[..., None] > -1e-9, radiance, 0.0).astype(np.float32)

@@ -16,7 +16,7 @@ from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
 from hyperpaint.simulation.rendering.scene import Scene, plane
 
-NOON = replace(Atmosphere.clear(30.0, 90.0, haze=None), molecular=None, aureole=None)  # an even sky
+NOON = replace(Atmosphere.clear(30.0, 90.0, haze=None), clear_shares=None)  # an even sky
 GREY = Material("grey", "panel_20", "panel")
 
 

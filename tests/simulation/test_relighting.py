@@ -92,7 +92,7 @@ def test_a_lambert_plane(sun: tuple[float, float]) -> None:
 
 def test_a_lambert_plane_under_lines() -> None:
     # The same where light and paint have spectra: reflectance is their irradiance-weighted mean
-    light = dataclasses.replace(line_light(), molecular=None, aureole=None)  # met evenly, not by chance
+    light = dataclasses.replace(line_light(), clear_shares=None)  # met evenly, not by chance
     made = (
         hp.simulation.trace(panel("red"), flight(2, 3), [SUN], samples=4, sun_radius=0.0)
         .paint.relight(atmosphere=light)
@@ -158,8 +158,7 @@ def test_air_takes_and_adds(traced: xr.Dataset) -> None:
 @pytest.mark.parametrize("bent", [False, True])
 def test_a_sum_by_hand(traced: xr.Dataset, share: float, bent: bool) -> None:
     light = line_light(LOW_SUN)
-    clear = {name: (1.0 - share) * getattr(light, name) for name in ("molecular", "aureole")}
-    light = dataclasses.replace(light, overcast_share=share, **clear)
+    light = dataclasses.replace(light, overcast_share=share, clear_shares=(1.0 - share) * light.clear_shares)
     # the second sun has number 3; by hand only source 2 is known
     only = hp.simulation.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).compute()
     bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", smile(16, 1.2) if bent else None)

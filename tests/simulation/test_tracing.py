@@ -25,7 +25,7 @@ from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import Scene, SceneRecord, TraceSettings, plane, sun_vectors
 
 SETTINGS: dict[str, Any] = {"samples": 8, "seed": 3, "overcast": True, "sun_radius": 0.27}
-DIMS = {"along_track": 24, "slot": 72, "cross_track": 16, "sun": 2}
+DIMS = {"along_track": 24, "slot": 104, "cross_track": 16, "sun": 2}
 
 
 def traced(chunk_lines: int = 32, **more: Any) -> xr.Dataset:
@@ -42,10 +42,10 @@ def whole() -> xr.Dataset:
 
 def test_slots_grow_with_sources_and_samples() -> None:
     one = TraceSettings([SUN]).slot_count
-    assert one == TraceSettings([SUN], samples=256).slot_count / 2 == 96
-    assert TraceSettings([SUN], clear=False).slot_count == one / 2
+    assert one == TraceSettings([SUN], samples=256).slot_count / 2 == 144
+    assert TraceSettings([SUN], clear=False).slot_count == one / 3
     assert TraceSettings([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
-    assert (TraceSettings([SUN], samples=1).slot_count, TraceSettings([SUN], slots=5).slot_count) == (16, 5)
+    assert (TraceSettings([SUN], samples=1).slot_count, TraceSettings([SUN], slots=5).slot_count) == (24, 5)
 
 
 def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no_compute: Any) -> None:

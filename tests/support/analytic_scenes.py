@@ -9,12 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.light.sky_functions import (
-    clear_sky_shares,
-    function_shapes,
-    relative_radiance,
-    scattering_cosine,
-)
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import diffuse_fraction
 
 Float = npt.NDArray[np.float64]
@@ -119,10 +114,7 @@ def bonnet(nm: Float, body: Float, *, zenith: float = 30.0, alpha: float = 0.05)
     direct = np.clip(np.cos(lean - sun), 0.0, None) / np.cos(sun)
     light = direct[:, None] * (1.0 - diffuse) + ((1.0 + np.cos(lean)) / 2.0)[:, None] * diffuse
     upwards, azimuth = np.cos(2.0 * lean), np.where(lean > 0.0, 0.0, np.pi)
-    from_sun = scattering_cosine(upwards, azimuth, zenith)
-    shares = clear_sky_shares(nm, zenith)
-    shapes = (relative_radiance(shape, upwards, from_sun) for shape in function_shapes(zenith))
-    seen_sky = np.stack([np.ones(lines), *shapes], axis=1) @ shares
+    seen_sky = ClearSky(zenith).relative_radiance(nm, upwards, azimuth).T
     panel = body * light + mirror[:, None] * (1.0 - diffuse) + fresnel * diffuse * seen_sky
     asphalt = smooth_edge(nm, 600.0, 0.07, 0.12, 150.0)
     cube = np.broadcast_to(asphalt, (lines, columns, nm.size)).copy()

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import solar_position
 
 NM = np.arange(400.0, 1001.0, 2.0)

@@ -90,10 +90,8 @@ def radiance_by_hand(
         if code < 0:
             continue
         share = light.overcast_share
-        molecular, aureole = (
-            np.interp(grid, light.wavelength, part) for part in (light.molecular, light.aureole)
-        )
-        shares = {0: 1 - share - molecular - aureole, 1: share, 8: molecular, 9: aureole}
+        clear = [np.interp(grid, light.wavelength, part) for part in light.clear_shares]
+        shares = {0: 1 - share - sum(clear), 1: share} | dict(enumerate(clear, start=8))
         source = code % 32
         if source not in (*shares, 2):
             continue  # another sun

@@ -10,7 +10,7 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.sky_functions import facing_gain
+from hyperpaint.light.clear_sky import facing_gain
 
 NM = np.array([410.0, 450.0, 550.0, 700.0, 850.0, 980.0])
 SUNS = (30.0, 45.0, 60.0, 75.0)

@@ -9,8 +9,8 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_lines
-from hyperpaint.light.sky_functions import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation import simulate_line
 from hyperpaint.surroundings.corrections import split_of

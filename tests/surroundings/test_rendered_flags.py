@@ -28,7 +28,7 @@ def skies() -> dict[str, Atmosphere]:
     # Return a clear sky as it is, and with its light spread evenly
     # Around the sun a real sky is bright: what coats mirror of it there looks like glint
     clear = Atmosphere.clear(ZENITH, AZIMUTH)
-    even = replace(clear, molecular=np.zeros_like(clear.sky), aureole=np.zeros_like(clear.sky))
+    even = replace(clear, clear_shares=None)
     return {"uniform": even, "directional": clear}
 
 

@@ -46,9 +46,9 @@ from hyperpaint.base.schema import (
     numbers_of,
     quality_attrs,
 )
+from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
-from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import (
     NONE_KNOWN,

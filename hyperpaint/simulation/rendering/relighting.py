@@ -63,7 +63,7 @@ from hyperpaint.base.schema import (
     label,
     require,
 )
-from hyperpaint.light.sky_functions import function_shapes
+from hyperpaint.light.sky_functions import function_tables
 from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds, preset_atmosphere
 from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
@@ -122,7 +122,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     radius = np.full(len(settings.suns), np.radians(settings.sun_radius))
     sources = Sources(sun_vectors(settings.suns), radius, settings.overcast)
     if settings.clear:
-        sources = sources._replace(shapes=np.stack([function_shapes(zenith) for zenith, _ in settings.suns]))
+        sources = sources._replace(skies=np.stack([function_tables(zenith) for zenith, _ in settings.suns]))
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     # numbers of the factors of every material: base, flakes, transmittance, turned flakes
@@ -238,7 +238,7 @@ def trace(
     >>> from hyperpaint.simulation.rendering.scene import plane
     >>> traced = trace(plane(100.0), pushbroom(64, 8), [(30.0, 180.0)], samples=4)
     >>> dict(traced.sizes)
-    {'along_track': 64, 'slot': 24, 'cross_track': 8, 'sun': 1}
+    {'along_track': 64, 'slot': 40, 'cross_track': 8, 'sun': 1}
     """
     directions, overcast_light = _directions(suns)
     settings = TraceSettings(
@@ -1356,7 +1356,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
         2 * np.arcsin(np.linalg.norm(sun_vectors(settings.suns) - towards, axis=1).clip(0, 2) / 2)
     )
     nearest = int(angles.argmin())
-    has_clear_sky = bool((atmosphere.sky * (atmosphere.molecular + atmosphere.aureole)).any())
+    has_clear_sky = bool((atmosphere.sky * atmosphere.clear_shares).any())
     if angles[nearest] > _MAX_SUN_ANGLE_DEG and (atmosphere.sun.any() or has_clear_sky):
         traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
@@ -1389,8 +1389,7 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
     shares = {
         SKY: atmosphere.uniform,
         OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
-        first_function: atmosphere.molecular,
-        first_function + 1: atmosphere.aureole,
+        **{first_function + number: share for number, share in enumerate(atmosphere.clear_shares)},
     }
     skies = {number: atmosphere.sky * share for number, share in shares.items() if share.any()}
     return {**skies, FIRST_SUN + sun: atmosphere.sun}

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import check_fields, declared, fact, one_of
 from hyperpaint.base.schema import Array, Floats, Ints
+from hyperpaint.light.sky_functions import FUNCTIONS
 from hyperpaint.simulation.settings import MAX_SEED, MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
@@ -898,6 +899,7 @@ class SceneRecord:
             "overcast": int(settings.overcast),
             "clear": int(settings.clear),
             "source_bits": SOURCE_BITS,
+            "clear_sky_functions": ", ".join(FUNCTIONS[1:]),
             "sun_radius": float(settings.sun_radius),
         }
 
@@ -910,6 +912,13 @@ class SceneRecord:
             "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS,
             "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",
             expected=f"{SOURCE_BITS} bits",
+            mend="trace the scene again",
+            code="trace-outdated",
+        )
+        SchemaError.raise_if(
+            attrs.get("clear") and attrs.get("clear_sky_functions") != ", ".join(FUNCTIONS[1:]),
+            "the scene was traced by another hyperpaint, with other functions of the clear sky",
+            expected=f"functions {', '.join(FUNCTIONS[1:])}",
             mend="trace the scene again",
             code="trace-outdated",
         )

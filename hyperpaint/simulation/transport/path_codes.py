@@ -3,8 +3,7 @@
 The code is one int64, so that a stored table of weights needs no key:
 
 * bits 0 to 4: the source: 0 the uniform sky, 1 the overcast sky, 2 to 7 the suns, from 8 the functions of
-  the clear sky of every sun (`hyperpaint.light.sky_functions`): molecular 8, aureole 9, of the second sun
-  10, 11;
+  the clear sky of every sun (`hyperpaint.light.sky_functions`): 8 to 11, of the second sun 12 to 15;
 * bit 5: mirror reflection by the coat of the first surface;
 * bit 6: reflection by more than one surface;
 * from bit 7, ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
@@ -28,7 +27,7 @@ SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
 MAX_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
 
 #: Number of functions of the clear sky of a sun, besides the uniform sky.
-CLEAR_SKY_FUNCTIONS = 2
+CLEAR_SKY_FUNCTIONS = 4
 
 #: Bits of the source, stored in the attributes of a trace, because older traces have 3.
 SOURCE_BITS = 5

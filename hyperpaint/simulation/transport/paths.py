@@ -16,7 +16,6 @@ import numpy as np
 
 from hyperpaint.base.jit import borrowing_kernel
 from hyperpaint.base.schema import Array
-from hyperpaint.light.sky_functions import HORIZON_SHIFT
 
 from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import (
@@ -84,9 +83,10 @@ class Sources(NamedTuple):
     suns: Array  # (sun, 3) float64: unit vectors towards the suns
     sun_radius: Array  # (sun,) float64: angular radius [rad]; 0 for a point
     overcast: bool  # whether to record the overcast sky besides the uniform sky
-    # (sun, function, 8) float64: coefficients of the functions of clear skies, see
-    # `hyperpaint.light.sky_functions`; empty without clear skies
-    shapes: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 8))
+    # (sun, function, zenith, azimuth) float64: functions of clear skies relative to a uniform sky, at even
+    # steps of the angle from the zenith, 0 to 90 degrees, and of the azimuth from the sun, 0 to 180 degrees;
+    # empty without clear skies
+    skies: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 2, 2))
 
 
 # Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
@@ -176,8 +176,12 @@ def check(
             f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}",
         ),
         (
-            np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8),
-            f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns",
+            np.size(sources.skies)
+            and (
+                np.shape(sources.skies)[:2] != (suns, CLEAR_SKY_FUNCTIONS)
+                or min(np.shape(sources.skies)[2:]) < 2
+            ),
+            f"skies {np.shape(sources.skies)} for {suns} suns",
         ),
         (
             has_suns and not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6),
@@ -343,28 +347,34 @@ def write_paths(
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
     # add an escaped path for every sky: its weight times the relative radiance of the sky in its direction
     # table: table of the pixel
-    # sources: sources whose skies are recorded; ``shapes`` is an array, empty without clear skies
+    # sources: sources whose skies are recorded
     # code, beta: code of the path without a source, and its weight
     # direction: unit vector of the escaping path, upwards, because there is no sky below the horizon
     add_path(table, code | SKY, beta)
     cos_zenith = direction[2]
     if sources.overcast:
         add_path(table, code | OVERCAST_SKY, 1.5 * cos_zenith * beta)
-    if sources.shapes.size == 0:
+    if sources.skies.size == 0:
         return
-    u = math.log(cos_zenith + HORIZON_SHIFT)
+    rows, columns = sources.skies.shape[2] - 1, sources.skies.shape[3] - 1
+    row = math.acos(min(1.0, cos_zenith)) * (rows / (0.5 * math.pi))
+    first_row = min(int(row), rows - 1)
+    below = row - first_row
     for sun in range(sources.suns.shape[0]):
-        towards = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
-        t = math.acos(min(1.0, max(-1.0, dot(direction, towards))))
+        x, y = sources.suns[sun, 0], sources.suns[sun, 1]
+        # azimuth from the sun; none at the zenith, where functions do not depend on it
+        level = math.sqrt((x * x + y * y) * (direction[0] ** 2 + direction[1] ** 2))
+        cosine = (x * direction[0] + y * direction[1]) / level if level > 1e-12 else 1.0
+        column = math.acos(min(1.0, max(-1.0, cosine))) * (columns / math.pi)
+        first_column = min(int(column), columns - 1)
+        beside = column - first_column
         for function in range(CLEAR_SKY_FUNCTIONS):
-            # radiance relative to a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`
-            c = sources.shapes[sun, function]
-            power = (
-                u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
+            # bilinear in both angles
+            sky = sources.skies[sun, function, first_row : first_row + 2, first_column : first_column + 2]
+            radiance = (1.0 - below) * ((1.0 - beside) * sky[0, 0] + beside * sky[0, 1]) + below * (
+                (1.0 - beside) * sky[1, 0] + beside * sky[1, 1]
             )
-            add_path(
-                table, code | (FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function), beta * math.exp(power)
-            )
+            add_path(table, code | (FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function), beta * radiance)
 
 
 # numbers of draws: even pairs for the first two surfaces, independent numbers from the third surface
@@ -474,7 +484,7 @@ def trace_lines(
         suns,
         np.ascontiguousarray(sources.sun_radius, np.float64),
         bool(sources.overcast),
-        np.ascontiguousarray(sources.shapes, np.float64),
+        np.ascontiguousarray(sources.skies, np.float64),
     )
     rays = Rays(*(np.ascontiguousarray(array, np.float64) for array in rays))
     sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * len(suns))  # both branches may end in the sky

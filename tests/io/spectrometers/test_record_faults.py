@@ -9,7 +9,7 @@ from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.light.sky_functions import ClearSky
+from hyperpaint.light.clear_sky import ClearSky
 
 NM = np.arange(350.0, 1076.0)
 SCANS = 40
