@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from support.traced_scenes import FEW_BANDS, flat_light
 
 import hyperpaint as hp
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import (
     Coat,
@@ -34,8 +34,9 @@ from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_spectra import (
     LEAF_INDEX,
     Paint,
-    generate_paint,
+    PaintSpec,
     leaf_optics,
+    paint_spec,
     spectrum_of,
 )
 from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
@@ -277,18 +278,44 @@ def test_the_index_is_almans_formula_of_three_lightnesses() -> None:
     assert flop_index(paint, VISIBLE, 0.1, 0.85) == pytest.approx(2.69 * (near - far) ** 1.11 / face**0.86)
 
 
-@pytest.mark.parametrize("family", ["metallic", "pearl"])
+def luminous_flop(paint: PaintSpec) -> float:
+    # Return Alman's index from reflectance factors with the hue shift of interference flakes
+    grid = np.linspace(400.0, 700.0, 31)
+    assert paint.flakes is not None
+    body, metal = (spectrum_of(name)(grid) for name in (paint.name, paint.flakes.spectrum))
+    turned = spectrum_of(paint.flakes.turned)(grid) if paint.flakes.turned else None
+    eye = np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    material, light = paint.material(), []
+    for view, azimuth in ((30.0, 180.0), (0.0, 180.0), (65.0, 0.0)):
+        factor = reflectance_factor(
+            material, body, metal, light=45.0, view=view, azimuth=azimuth, turned=turned
+        )
+        y = float(np.average(factor, weights=eye))
+        light.append(116.0 * y ** (1 / 3) - 16.0 if y > 216 / 24389 else 24389 / 27 * y)
+    return float(2.69 * max(light[0] - light[2], 0.0) ** 1.11 / light[1] ** 0.86)
+
+
+@pytest.mark.parametrize("family", ["metallic", "pearl", "fleet"])
 def test_generated_paints_flop_as_paints_do(family: str) -> None:
-    grid = np.linspace(380.0, 780.0, 41)
-    flops = []
-    for number in range(40):
-        paint = generate_paint(family, number)
-        assert paint.flakes is not None
-        flakes = spectrum_of(paint.flakes.spectrum)(grid)
-        flops.append(flop_index(paint.material(), grid, paint.reflectance(grid), flakes))
-        assert gloss_units(paint.coat) > 70.0
-    assert 3.0 < min(flops) < max(flops) < 17.0
-    assert 7.0 < np.median(flops) < 12.0
+    # Published: 0 for solid paints, 15 to 17 for the highest flop of metallic and pearl basecoats
+    names = [f"fleet-{n}" if family == "fleet" else f"pigment:{family}:{n}" for n in range(240)]
+    paints = [paint for paint in map(paint_spec, names) if paint.flakes]
+    flops = [luminous_flop(paint) for paint in paints]
+    assert len(paints) > 120
+    assert (1.0 if family == "fleet" else 3.0) < min(flops) < max(flops) < 17.0
+    assert 6.0 < np.median(flops) < 12.0
+    assert min(gloss_units(paint.coat) for paint in paints[:40]) > 70.0
+
+
+def test_a_flop_beyond_real_paints_is_refused() -> None:
+    # Flakes of a share of 0.67 over a dark red reach 28 with a sharp lobe
+    dark = Material("m", "m", "paint", Coat(), Flakes(0.67))
+    assert flop_index(replace(dark, flakes=Flakes(0.67, 0.05)), VISIBLE, 0.02, 0.85) > 25.0
+    with pytest.raises(SchemaError) as error:
+        flakes_of_flop(18.0, dark, VISIBLE, 0.02, 0.85)
+    assert "value-out-of-range" in error.value.codes
+    most = flakes_of_flop(28.0, dark, VISIBLE, 0.02, 0.85, nearest=True)
+    assert flop_index(replace(dark, flakes=most), VISIBLE, 0.02, 0.85) == pytest.approx(17.0, abs=0.2)
 
 
 # --- leaves ---

@@ -415,6 +415,12 @@ _RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in and across the plane of i
 _SOURCE_DEG = (0.75, 2.5)  # size of the image of the source
 _LIGHT_DEG = 45.0
 _ASPECULAR_DEG = (15.0, 45.0, 110.0)
+
+#: Maximum flop index of car paints: 0 is solid, 15 to 17 the highest flop of metallic and pearl basecoats.
+#: D. H. Alman, "Directional color measurement of metallic flake finishes", ISCC Williamsburg conference
+#: (1987); BYK-Gardner, "Instrumental color measurement of effect coatings". Sharp lobes exceed it.
+MAX_FLOP_INDEX = 17.0
+
 _ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
 
 #: Relative spectrum of D65, 380 to 780 nm in steps of 20 nm (CIE 15).
@@ -666,7 +672,7 @@ def flakes_of_flop(
     Parameters
     ----------
     flop
-        Flop index; 15 to 17 is very high.
+        Flop index, at most `MAX_FLOP_INDEX`.
     material
         Coat, and flakes whose share and spectrum are kept.
     wavelength, body, flakes
@@ -677,7 +683,7 @@ def flakes_of_flop(
     Raises
     ------
     SchemaError
-        The paint has no flakes, or no lobe of this share has the index.
+        The paint has no flakes, no lobe of this share has the index, or no real paint has it.
 
     Examples
     --------
@@ -695,13 +701,15 @@ def flakes_of_flop(
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
+    most = min(float(flops[peak]), MAX_FLOP_INDEX)
     SchemaError.raise_if(
-        not (nearest or flops[-1] <= flop <= flops[peak]),
+        not (nearest or flops[-1] <= flop <= most),
         f"flop index is {flop}",
-        expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
+        expected=f"{flops[-1]:.1f} to {most:.1f} for a flake share of {old_flakes.share}",
         mend="for more flop, raise the flake share or darken the pigment",
         code="value-out-of-range",
     )
     return replace(
-        old_flakes, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
+        old_flakes,
+        roughness=float(np.exp(np.interp(-min(flop, most), -flops[peak:], np.log(_ALPHAS[peak:])))),
     )

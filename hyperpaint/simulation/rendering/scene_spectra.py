@@ -492,7 +492,8 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
     "coloured": (0.08, 0.28),
 }  # fmt: skip
 
-#: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it.
+#: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it; real paints
+#: reach `materials.MAX_FLOP_INDEX`.
 FLOPS = (5.0, 16.0)
 
 _MEAN_AGE_YEARS = 9.0
