@@ -6,6 +6,7 @@ from .flightline.flightline_opening import write_line_table as write_line_table
 from .library.library_formats import check_library as check_library, declare_library as declare_library
 from .maps.map_grids import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
+from .rgl import read_rgl as read_rgl
 from .skies import (
     read_sixs as read_sixs,
     read_sky_csv as read_sky_csv,

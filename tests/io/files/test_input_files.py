@@ -62,6 +62,7 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "tape7": (_of("io", "read_tape7", sun_zenith=60.0, ground=0.3), ""),
     "6S": (lambda path: hp.io.read_sixs([path], sun_zenith=60.0), ".txt"),
     "sky csv": (_of("io", "read_sky_csv"), ".csv"),
+    "rgl": (_of("io", "read_rgl"), ".bsdf"),
     **{f"{kind} navigation": (_navigation(kind), f".{kind}")
        for kind in ("imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea")},
     "open_navigation": (hp.open_navigation, ".txt"),
