@@ -11,7 +11,7 @@ from .rendering.materials import (
     gloss_units as gloss_units,
     reflectance_factor as reflectance_factor,
 )
-from .rendering.measured_brdfs import measured_brdf as measured_brdf
+from .rendering.measured_brdfs import fit_paint as fit_paint, measured_brdf as measured_brdf
 from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight, trace as trace
 from .settings import SimulationSettings as SimulationSettings

@@ -16,7 +16,7 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 
 import functools
 from dataclasses import MISSING, dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -421,7 +421,7 @@ _ASPECULAR_DEG = (15.0, 45.0, 110.0)
 #: (1987); BYK-Gardner, "Instrumental color measurement of effect coatings". Sharp lobes exceed it.
 MAX_FLOP_INDEX = 17.0
 
-_ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
+ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
 
 #: Relative spectrum of D65, 380 to 780 nm in steps of 20 nm (CIE 15).
 _D65 = (
@@ -523,13 +523,21 @@ class _Lobes(NamedTuple):
         return (1.0 - share) * self.base * pigment + share * metal * (self.flakes + self.recycled * returned)
 
 
-def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    # lobes of a smooth coat (index 0: no coat) over a base only, and over flakes of an alpha (0: no flakes)
-    # only, for light and view at zenith angles with a difference of azimuth [degree]
-    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
+@functools.lru_cache(maxsize=256)
+def _unit_surface(index: float, alpha: float) -> Any:
+    # a smooth coat (index 0: none) over a white base (alpha 0), or half of the light on flakes of an alpha
+    from hyperpaint.simulation.transport.surfaces import surfaces_of
 
     ones, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
-    surfaces = surfaces_of(index * ones, 0 * ones, 0 * ones, 0.5 * ones, alpha * ones, 0 * factor, factor)
+    return surfaces_of(index * ones, 0 * ones, 0 * ones, 0.5 * ones, alpha * ones, 0 * factor, factor)
+
+
+def lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
+    # lobes of a smooth coat (index 0: no coat) over a base only, and over flakes of an alpha (0: no flakes)
+    # only, for light and view at zenith angles with a difference of azimuth [degree]
+    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, turned_part
+
+    surfaces = _unit_surface(index, alpha)
     a, b, turn = np.radians([light, view, azimuth])
     towards_light = float(np.sin(a)), 0.0, float(np.cos(a))
     towards_view = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
@@ -581,7 +589,7 @@ def reflectance_factor(
     """
     index = None if material.coat is None else material.coat.index
     share, alpha = (material.flakes.share, material.flakes.roughness) if material.flakes else (0.0, 0.0)
-    lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
+    lobes = lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
     return np.asarray(
@@ -622,12 +630,12 @@ def flop_index(
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     # view angles, positive on the side of the mirror direction
     views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]
-    return [_lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
+    return [lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
 
 
 @functools.cache
 def _lobes_by_alpha(index: float) -> list[list[_Lobes]]:
-    return [_three_geometries(index, float(alpha)) for alpha in _ALPHAS]
+    return [_three_geometries(index, float(alpha)) for alpha in ALPHAS]
 
 
 def _flops(
@@ -711,5 +719,5 @@ def flakes_of_flop(
     )
     return replace(
         old_flakes,
-        roughness=float(np.exp(np.interp(-min(flop, most), -flops[peak:], np.log(_ALPHAS[peak:])))),
+        roughness=float(np.exp(np.interp(-min(flop, most), -flops[peak:], np.log(ALPHAS[peak:])))),
     )
