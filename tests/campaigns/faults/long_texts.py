@@ -30,7 +30,7 @@ PIECES: Mapping[str, bytes] = {
     "beginning": b"",
 }  # fmt: skip
 #: Files that are no text, or too slow to begin with: their readers bound them by other means.
-BINARY = ("asd", "sbet", "geotiff", "mesh-ply", "mesh-glb")
+BINARY = ("asd", "sbet", "geotiff", "mesh-ply", "mesh-glb", "rgl")
 
 
 def text_of(piece: str, seed: bytes, size: int) -> bytes:

@@ -238,6 +238,7 @@ PARSERS: Mapping[str, Parser] = {
         "mesh-obj": (_mesh, _SCHEMA, ("box.obj",)),
         "mesh-ply": (_mesh, _SCHEMA, ("box.ply",)),
         "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),
+        "rgl": (reader("io:read_rgl"), _FORMAT, ("paint.bsdf",)),
         "regions": (reader("regions:read_regions"), _FORMAT, ("regions.geojson",)),
         "pairs": (reader(f"{_SPECTRA}.reference_files:read_pairs"), _FORMAT, ("pairs.csv",)),
         "geotiff": (reader("io.maps.map_grids:read_geotiff_header"), _FORMAT, ("heights.tif", "tiled.tif")),

@@ -5,6 +5,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from support.tensor_files import rough_brdf, write_tensors
 
 _CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], np.float64)
 _QUADS = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
@@ -226,6 +227,7 @@ def _write_side_inputs(folder: Path) -> None:
     (folder / "scene.toml").write_text(example_scene(), encoding="utf-8")
     (folder / "box.ply").write_bytes(_ply())
     (folder / "box.glb").write_bytes(_glb())
+    write_tensors(folder / "paint.bsdf", rough_brdf())
     _write_rasters(folder)
 
 
