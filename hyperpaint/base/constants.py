@@ -34,6 +34,9 @@ NUMERICS_VERSION = 1
 #: Size of the output of one task; the allocator requests a larger block from the kernel each time.
 MAX_TASK_BYTES = 24_000_000
 
+#: Surfaces of calibration panels with known factors by direction, see `hyperpaint.radiometry.panel_factor`.
+PANEL_SURFACES = ("lambertian", "sintered-ptfe")
+
 #: Codec of stored arrays, see `hyperpaint.to_store`.
 DEFAULT_CODEC: Literal["compact", "fast"] = "compact"
 

@@ -16,6 +16,7 @@ from .skies import (
 from .spectrometers.spectrum_csv import (
     read_angular_response as read_angular_response,
     read_certificate as read_certificate,
+    read_panel_table as read_panel_table,
     read_radcal as read_radcal,
 )
 from .store import encoding as encoding

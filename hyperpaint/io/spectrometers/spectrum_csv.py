@@ -21,6 +21,7 @@ from hyperpaint.io.files.reading import (
     read_limited_text,
     refuse,
     row_numbers,
+    table_of,
 )
 
 _MAX_BYTES = 16 << 20
@@ -301,6 +302,92 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
         coords={"wavelength": ("wavelength", wavelength, attrs)},
         name="reflectance",
         attrs={"units": "1", "long_name": "Reflectance factor of the panel", "source": path.name},
+    )
+
+
+#: Directions of a table of a panel's factors [degree].
+PANEL_DIRECTIONS = ("sun_zenith", "view_zenith", "relative_azimuth")
+
+
+def read_panel_table(path: str | os.PathLike[str]) -> xr.DataArray:
+    r"""Read measured factors of a panel by direction, for `hyperpaint.radiometry.panel_factor`.
+
+    Parameters
+    ----------
+    path
+        Text with a header line and cells separated by commas: ``factor``, the reflectance factor of the panel
+        over its certificate [1], ``sun_zenith``, and optionally ``view_zenith``, ``relative_azimuth``
+        [degree] and ``wavelength`` [nm], with one row for every combination of their values. A column that is
+        left out has no influence on the factor. Lines that begin with ``#`` are ignored.
+
+    Returns
+    -------
+    DataArray
+        Factors, float64, with the columns as dimensions.
+
+    Raises
+    ------
+    FormatError
+        The file is not such a table, a combination is missing or occurs twice, or a value is out of range.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "panel.csv")
+    >>> _ = path.write_text("sun_zenith,factor\n30,1.04\n60,0.97\n")
+    >>> read_panel_table(path).sel(sun_zenith=60.0).item()
+    0.97
+    """
+    path = Path(path)
+    data = read_limited_text(path, _MAX_BYTES, "a table of a panel's factors")
+    lines = [
+        (at, [cell.strip() for cell in line.split(",")])
+        for at, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    ]
+    names = [name.lower() for name in lines[0][1]] if lines else []
+    columns = ("factor", *PANEL_DIRECTIONS, "wavelength")
+    FormatError.raise_if(
+        not {"factor", "sun_zenith"} <= set(names) <= set(columns) or len(set(names)) != len(names),
+        f"{path}: columns {', '.join(names)[:80] or 'none'}",
+        expected=f"sun_zenith and factor, and optionally {', '.join(columns[2:])}",
+        mend="write this header, and cells separated by commas",
+        code="header-wrong",
+    )
+    table = table_of(path, names, lines[1:])
+    values = {name: np.array(numbers(cells) or [np.nan]) for name, cells in table.columns.items()}
+    problems = Problems(f"{path} cannot be used as a table of a panel's factors", FormatError)
+    for name, least, most in (
+        ("factor", 0.2, 5.0),
+        *((direction, 0.0, 180.0 if "azimuth" in direction else 90.0) for direction in PANEL_DIRECTIONS),
+        ("wavelength", *_WAVELENGTH_RANGE_NM),
+    ):
+        problems.add_if(
+            name in values and not ((values[name] >= least) & (values[name] <= most)).all(),
+            f"{name} has a value outside {least:g} to {most:g}, or not a number",
+            expected="nm" if name == "wavelength" else "1" if name == "factor" else "degree",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
+    factor = values.pop("factor")
+    dims = [name for name in columns if name in values]
+    axes, indices = zip(*(np.unique(values[dim], return_inverse=True) for dim in dims), strict=True)
+    shape = tuple(len(axis) for axis in axes)
+    flat = np.ravel_multi_index(indices, shape)
+    FormatError.raise_if(
+        factor.size != np.prod(shape) or np.unique(flat).size != factor.size,
+        f"{path}: {np.unique(flat).size} different directions and wavelengths in {factor.size} rows",
+        expected=f"one row for each of {np.prod(shape)} combinations",
+        mend="add the missing rows, and delete repeated ones",
+        code="grid-mismatch",
+    )
+    units = {name: {"units": "nm" if name == "wavelength" else "degree"} for name in dims}
+    return xr.DataArray(
+        factor[np.argsort(flat)].reshape(shape),
+        {name: (name, axis, units[name]) for name, axis in zip(dims, axes, strict=True)},
+        dims,
+        "factor",
+        {"units": "1", "long_name": "Reflectance factor of a panel over its certificate"},
     )
 
 

@@ -56,6 +56,7 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     "radcal": (_of("io", "read_radcal"), ".txt"),
     "certificate": (_of("io", "read_certificate"), ".csv"),
+    "factors of a panel": (_of("io", "read_panel_table"), ".csv"),
     "materials": (_of("io.dirsig", "read_materials"), ".mat"),
     "emissivity": (_of("io.dirsig", "open_emissivity"), ".ems"),
     "uvspec": (_of("io", "read_uvspec", sun_zenith=60.0, units="mW m-2 nm-1"), ".out"),

@@ -1,0 +1,106 @@
+"""Reflectance of panels by direction: measured factors, reciprocity, energy."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.refusals import expect_refusals
+
+import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.radiometry import panel_factor, panel_surfaces
+
+# Factors of white sintered PTFE over its reflectance for light from 8 degrees, mean of 532, 633 and 1064 nm,
+# evaluated from the expansion of T. A. Germer, Appl. Opt. 56, 9333 (2017): zenith angles of light and view,
+# azimuth between them, factor.
+MEASURED = (
+    (15.0, 0.0, 0.0, 1.0667), (30.0, 0.0, 0.0, 1.0436), (45.0, 0.0, 0.0, 1.0155), (60.0, 0.0, 0.0, 0.9756),
+    (70.0, 0.0, 0.0, 0.9262), (75.0, 0.0, 0.0, 0.8886), (45.0, 20.0, 0.0, 1.005), (45.0, 20.0, 180.0, 1.033),
+    (60.0, 30.0, 0.0, 0.953), (60.0, 30.0, 180.0, 1.038), (70.0, 30.0, 90.0, 0.934),
+)  # fmt: skip
+
+
+def factor_of(*angles: float, **options: Any) -> float:
+    return float(panel_factor([550.0], *angles, **options).factor.item())
+
+
+def test_the_factors_are_the_measured_ones() -> None:
+    for *angles, factor in MEASURED:
+        assert factor_of(*angles) == pytest.approx(factor, abs=6e-3), angles
+    # seen from the nadir, within the scatter that is stated
+    errors = [factor_of(*angles) - factor for *angles, factor in MEASURED if angles[1] == 0.0]
+    assert np.std(errors) < 2e-3
+
+
+def test_other_plates_are_within_twice_the_uncertainty() -> None:
+    # model of a plate in the field, IEEE Trans. Geosci. Remote Sens. (2024), doi:10.1109/TGRS.2024.3361392,
+    # over its certificate, at 633 nm and the nadir
+    for zenith, other in ((8.0, 1.1045), (30.0, 1.0652), (45.0, 1.0227), (60.0, 0.9512), (70.0, 0.8771)):
+        factor, u = panel_factor([633.0], zenith)
+        assert abs(other - factor.item()) < 2.0 * u.item()
+        assert 0.01 < u.item() < 0.03
+
+
+def test_light_and_view_can_be_exchanged() -> None:
+    rng = np.random.default_rng(5)
+    for light, view in rng.uniform(0.0, 45.0, (20, 2)):
+        azimuth = float(rng.uniform(-720.0, 720.0))
+        assert factor_of(light, view, azimuth) == pytest.approx(factor_of(view, light, -azimuth), rel=1e-12)
+
+
+def test_the_hemisphere_reflects_the_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(panel_surfaces, "_LIMITS", {})
+    zenith, azimuth = np.arange(0.5, 90.0), np.arange(5.0, 180.0, 10.0)
+    weight = np.sin(2.0 * np.radians(zenith))
+    for light in (0.0, 8.0, 20.0, 30.0, 45.0):
+        rings = np.array([[factor_of(light, view, turn) for turn in azimuth] for view in zenith]).mean(axis=1)
+        assert (rings * weight).sum() / weight.sum() == pytest.approx(1.0, abs=1.2e-3), light
+    # so that a uniform sky shows the certificate, from wherever it is seen
+    assert factor_of(30.0, direct_share=0.0) == 1.0
+
+
+def test_a_surface_and_a_direction_are_checked() -> None:
+    expect_refusals(
+        (SchemaError, "panel-surface-unknown", "glossy", lambda: factor_of(30.0, surface="glossy")),
+        (
+            SchemaError, "panel-direction-outside", "sun_zenith", "80.0", "75", "view_zenith", "45",
+            lambda: factor_of(80.0, 50.0),
+        ),
+    )  # fmt: skip
+
+
+def test_a_table_of_factors_is_interpolated(tmp_path: Path) -> None:
+    path = tmp_path / "own.csv"
+    rows = [
+        f"{sun},{view},{nm},{1.0 + 1e-3 * (45 - sun) + 1e-3 * view + 1e-5 * (nm - 500)}"
+        for nm in (400, 1000) for view in (0, 20) for sun in (60, 30)
+    ]  # fmt: skip
+    path.write_text("# of our panel\nSun_Zenith,view_zenith,wavelength,factor\n" + "\n".join(rows) + "\n")
+    factor, u = panel_factor([400.0, 700.0, 1100.0], 40.0, 10.0, surface=path)
+    np.testing.assert_allclose(factor, [1.014, 1.017, np.nan])
+    assert not u.any()
+    half = panel_factor([400.0], 40.0, 10.0, surface=str(path), direct_share=0.5)
+    np.testing.assert_allclose(half.factor, 1.007)
+
+    def read(text: str) -> Any:
+        path.write_text(text)
+        return lambda: hp.io.read_panel_table(path)
+
+    for text, code in (
+        ("", "header-wrong"),
+        ("sun_zenith,brightness\n30,1\n", "header-wrong"),
+        ("sun_zenith,factor\n", "empty-input"),
+        ("sun_zenith,factor\n30,1,2\n", "length-mismatch"),
+        ("sun_zenith,factor\n30,104\n", "value-out-of-range"),
+        ("sun_zenith,factor\n30,x\n", "value-out-of-range"),
+        ("sun_zenith,factor\n30,1\n30,1.1\n", "grid-mismatch"),
+        ("sun_zenith,view_zenith,factor\n30,0,1\n30,10,1\n60,0,1\n", "grid-mismatch"),
+    ):
+        expect_refusals((FormatError, code, read(text)))
+    outside = read("sun_zenith,view_zenith,factor\n30,0,1\n60,0,1\n")()
+    assert outside.sizes == {"sun_zenith": 2, "view_zenith": 1}
+    expect_refusals(
+        (SchemaError, "panel-direction-outside", "view_zenith", lambda: factor_of(40.0, 5.0, surface=outside))
+    )
+    assert factor_of(40.0, surface=outside) == 1.0
