@@ -148,6 +148,9 @@ class PaintAccessor:
         exposure_time: float | Sequence[float] | None = None,
         white_exposure_time: float | None = None,
         bit_depth: int = 12,
+        tile_surface: Any = "lambertian",
+        light_zenith: float | None = None,
+        direct_share: float = 1.0,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Calibrate raw counts by a white tile, so that ``reflectance()`` needs nothing else."""

@@ -759,6 +759,13 @@ the same name, with or without folder and suffix; --pairs replaces these rules."
     help="Reflectance of the white panel that the references are relative to.",
 )
 @click.option(
+    "--panel-surface",
+    metavar="SURFACE",
+    default="lambertian",
+    help="Surface of the panel: lambertian, sintered-ptfe, or a table of its factors (csv).  "
+    "[default: lambertian]",
+)
+@click.option(
     "--part",
     "parts",
     multiple=True,

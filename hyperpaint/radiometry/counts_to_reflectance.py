@@ -58,6 +58,7 @@ from hyperpaint.light.illumination import UNSTABLE_CHANGE, Tilt, replace_record
 
 from . import slabs
 from .darks import SAME_EXPOSURE_SHARE, darks_of_lines
+from .panel_surfaces import LAMBERTIAN, is_lambertian, panel_factor
 from .panels import (
     CLOSURE,
     Panel,
@@ -121,6 +122,9 @@ def white_reference(
     exposure_time: float | Sequence[float] | None = None,
     white_exposure_time: float | None = None,
     bit_depth: int = 12,
+    tile_surface: Any = LAMBERTIAN,
+    light_zenith: float | None = None,
+    direct_share: float = 1.0,
 ) -> xr.Dataset:
     r"""Calibrate raw counts by a white tile, so that ``reflectance()`` needs nothing else.
 
@@ -152,6 +156,13 @@ def white_reference(
     bit_depth
         Bits of the converter, for the count at which an element is saturated, where the dataset has no
         ``saturation_count``.
+    tile_surface
+        Surface of the tile, for its reflectance by direction, seen from the nadir: ``lambertian``,
+        ``sintered-ptfe``, or a table of its factors or its file, see `hyperpaint.radiometry.panel_factor`.
+    light_zenith
+        Zenith angle of the lamps or the sun over the tile [degree]; for surfaces other than ``lambertian``.
+    direct_share
+        Their light over all light on the tile [1].
 
     Returns
     -------
@@ -168,7 +179,8 @@ def white_reference(
         ``tile`` or a dark is missing; an exposure is unknown, or the dark has another exposure; the white is
         saturated, without light, not the same in all lines, of another camera, binning or wavelengths; the
         dataset has corrections of a calibration, such as ``linearity``; or white references of unknown times
-        differ. All problems of the white are listed.
+        differ; or the surface of the tile is declared without ``light_zenith``. All problems of the white are
+        listed.
 
     Warns
     -----
@@ -225,7 +237,17 @@ def white_reference(
     for each in whites:
         each.check(limit, line, problems)
     problems.raise_if_any()
-    return line.assign(_gain_variables(line, whites, limit, tile, tile_uncertainty)).assign_attrs(
+    certified = Panel(
+        slice(None),
+        slice(None),
+        read_certificate(tile) if isinstance(tile, str | os.PathLike) else tile,
+        tile_uncertainty or 0.0,
+        surface=tile_surface,
+    )
+    reflectance, surface_u = _tile_of_bands(line, certified, light_zenith, direct_share)
+    if tile_uncertainty is not None:
+        tile_uncertainty = float(np.hypot(tile_uncertainty, surface_u))
+    return line.assign(_gain_variables(line, whites, limit, reflectance, tile_uncertainty)).assign_attrs(
         white_source=", ".join(str(each) for each in whites),
         white_tile=f"{tile:g}" if np.ndim(tile) == 0 and not isinstance(tile, str | Path) else "certificate",
     )
@@ -391,7 +413,7 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
 
 
 def _gain_variables(
-    line: xr.Dataset, whites: list[_White], limit: Any, tile: Any, tile_uncertainty: float | None
+    line: xr.Dataset, whites: list[_White], limit: Any, reflectance: Floats, tile_uncertainty: float | None
 ) -> dict[str, xr.DataArray]:
     # Return the variables of a white reference: gain, its uncertainty, and the change of the light.
     times = [each.reference.time for each in whites]
@@ -410,7 +432,6 @@ def _gain_variables(
     level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
     _check_change(rates, level, is_timed=is_timed)
     rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
-    reflectance = _tile_of_bands(line, tile, tile_uncertainty or 0.0)
     variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
     variance = variances.sum(axis=0) / len(whites) ** 2
     with np.errstate(invalid="ignore"):
@@ -461,28 +482,36 @@ def _check_change(rates: Floats, level: Floats, *, is_timed: bool) -> None:
         )
 
 
-def _tile_of_bands(line: xr.Dataset, tile: Any, uncertainty: float) -> Floats:
-    # Return the reflectance factor of the tile in every band.
-    if isinstance(tile, str | os.PathLike):
-        tile = read_certificate(tile)
-    certified = Panel(slice(None), slice(None), tile, uncertainty)
-    if np.ndim(tile) == 0:
-        return np.full(line.sizes[BAND], float(tile))
+def _tile_of_bands(
+    line: xr.Dataset, tile: Panel, light_zenith: float | None, direct_share: float
+) -> tuple[Floats, float]:
+    # Return the reflectance factor of the tile in every band, and the uncertainty by its surface.
+    bands = line["wavelength"].values if "wavelength" in line.coords else np.full(line.sizes[BAND], np.nan)
+    factor, surface_u = np.ones(bands.shape), 0.0
+    if not is_lambertian(tile.surface):
+        if light_zenith is None:
+            raise SchemaError(
+                "the surface of the tile is declared, but not the direction of its light",
+                mend="pass light_zenith=, the zenith angle of the lamps or the sun [degree]",
+                option="state light_zenith_deg in [reference]",
+                code="panel-light-unknown",
+            )
+        directional = panel_factor(bands, light_zenith, surface=tile.surface, direct_share=direct_share)
+        factor, surface_u = directional.factor, float(np.nanmax(directional.u, initial=0.0))
     SchemaError.raise_if(
-        "wavelength" not in line.coords,
-        "the certificate of a tile, and a cube without wavelengths",
+        "wavelength" not in line.coords and (np.ndim(tile.reflectance) or np.isnan(factor).any()),
+        "the certificate or the factors of a tile, and a cube without wavelengths",
         mend="add a coordinate wavelength (band) [nm], or pass tile= as a number",
         code="wavelength-missing",
     )
-    wavelength = line["wavelength"].values
-    reflectance: Floats = certified.at(wavelength)
+    reflectance: Floats = tile.at(bands) * factor
     if (missing := np.isnan(reflectance)).any():
         warn_user(
             f"the certificate of the tile does not cover {missing.sum()} of {missing.size} bands, which are "
-            f"NaN: {wavelength[missing].min():g} to {wavelength[missing].max():g} nm",
+            f"NaN: {bands[missing].min():g} to {bands[missing].max():g} nm",
             "tile-certificate-short",
         )
-    return reflectance
+    return reflectance, surface_u
 
 
 def _electrons_per_count(line: xr.Dataset, whites: list[_White], is_used: Bools) -> float | None:

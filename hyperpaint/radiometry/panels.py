@@ -39,6 +39,7 @@ from hyperpaint.base.schema import (
 )
 
 from . import slabs
+from .panel_surfaces import LAMBERTIAN, check_surface
 from .slabs import PanelClosure
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
@@ -406,11 +407,17 @@ class Panel:
         more than twice this is refused.
     tilt
         Attitude if the panel is not level, as `hyperpaint.Tilt` or (angle, azimuth) [degree].
+    surface
+        Surface of the panel, for its reflectance by the directions of light and view: ``lambertian``,
+        ``sintered-ptfe``, or a table of its own factors, see `hyperpaint.radiometry.panel_factor`.
+    view
+        Zenith angle of the camera, seen from the panel, and its azimuth clockwise from north [degree]; for
+        surfaces other than ``lambertian``.
 
     Raises
     ------
     SchemaError
-        The reflectance or its uncertainty is out of range.
+        The reflectance or its uncertainty is out of range, or the surface is unknown.
 
     Examples
     --------
@@ -424,6 +431,8 @@ class Panel:
     reflectance: Any
     uncertainty: float = 0.0
     tilt: Any = None
+    surface: Any = LAMBERTIAN
+    view: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         SchemaError.raise_if(
@@ -444,6 +453,7 @@ class Panel:
             expected="0 to 1, or a DataArray",
             code="value-out-of-range",
         )
+        check_surface(self.surface, convert(self.reflectance, "1") if is_labelled else self.reflectance)
 
     def at(self, wavelength: Any) -> Any:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside the range of ``reflectance``."""
@@ -465,12 +475,21 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
             region = slice(*row["along_track"]), slice(*row["cross_track"])
             # a number, or pairs of wavelength [nm] and reflectance
             reflectance, tilt = row["reflectance"], row["tilt"]
+            surface = row.get("surface", LAMBERTIAN)
             if isinstance(reflectance, list):
                 wavelengths, values = np.array(reflectance, np.float64).T
                 axis = {"wavelength": ("wavelength", wavelengths, {"units": "nm"})}
                 reflectance = xr.DataArray(values, axis, ("wavelength",), attrs={"units": "1"})
             panels.append(
-                Panel(*region, reflectance, row["uncertainty"], None if tilt is None else tuple(tilt))
+                Panel(
+                    *region,
+                    reflectance,
+                    row["uncertainty"],
+                    None if tilt is None else tuple(tilt),
+                    # a name, or a table of factors
+                    surface if isinstance(surface, str) else xr.DataArray.from_dict(surface),
+                    tuple(row.get("view", (0.0, 0.0))),
+                )
             )
         return tuple(panels)
     except (ValueError, TypeError, KeyError) as error:
@@ -555,6 +574,8 @@ def _inputs_of_panel(
         "ceiling": None,
         "reflectance": expected,
         "uncertainty": panel.uncertainty,
+        "surface": panel.surface,
+        "view": panel.view,
         "lines": (min(lines), max(lines) + 1),
         "name": f"the panel at lines {min(lines)} to {max(lines)}",
     }
@@ -598,10 +619,11 @@ def usable_panels(closure: PanelClosure) -> Array:
         raise SchemaError(
             f"the panel is refused: {'; '.join(dict.fromkeys(refused))}",
             mend="see hyperpaint.radiometry.panel_closure; outline another part of it, give its attitude, "
-            "Panel(..., tilt=(angle, azimuth)), or its uncertainty, Panel(..., uncertainty=0.05), or leave "
-            "out panel=",
+            "Panel(..., tilt=(angle, azimuth)), its surface, surface='sintered-ptfe', or its uncertainty, "
+            "uncertainty=0.05, or leave out panel=",
             option="under [[panels]] of the collect.toml give another part of it (along_track, cross_track), "
-            "its attitude, tilt = [angle, azimuth], or its uncertainty, uncertainty = 0.05, or leave it out",
+            'its attitude, tilt = [angle, azimuth], its surface, surface = "sintered-ptfe", or its '
+            "uncertainty, uncertainty = 0.05, or leave it out",
             code="panel-refused",
         )
     if refused:

@@ -63,6 +63,7 @@ from hyperpaint.light.sun import solar_position
 
 from . import slabs
 from .darks import between_stamps, dark_weights, darks_of_lines
+from .panel_surfaces import is_lambertian, panel_factor
 from .panels import (
     REFUSED,
     RULES as PANEL_RULES,
@@ -553,7 +554,29 @@ def _panel_scale(
         middle_time, share = stamps[0] + (stamps[-1] - stamps[0]) // 2, None
         if light is not None and _is_located(cube):
             share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))
-        panels.append({**panel, "time": middle_time, "direct_share": share})
+        row = {**panel, "time": middle_time, "direct_share": share}
+        if not is_lambertian(panel["surface"]):
+            if share is None:
+                raise SchemaError(
+                    f"{panel['name']}: the surface of the panel is declared, but the direct share of its "
+                    "light is unknown",
+                    expected="a line with positions and times, an irradiance record with visible channels, "
+                    f"and the sun less than {MAX_SUN_ZENITH_DEG:g} degrees from the zenith",
+                    mend="declare the position of the line, or diffuse_fraction; or leave out surface",
+                    code="panel-light-unknown",
+                )
+            zenith, azimuth = map(float, solar_position(middle_time, *_mean_position(cube)))
+            factor, u = panel_factor(
+                wavelength,
+                zenith,
+                panel["view"][0],
+                azimuth - panel["view"][1],
+                surface=panel["surface"],
+                direct_share=share[0],
+            )
+            row["reflectance"] = np.asarray(panel["reflectance"], np.float64) * factor
+            row["uncertainty"] = float(np.hypot(panel["uncertainty"], np.nanmax(u, initial=0.0)))
+        panels.append(row)
     closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
     if not inputs["refuses"]:
         return np.ones(good.size), closure, None, np.full(lines, np.nan)

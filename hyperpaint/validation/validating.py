@@ -44,8 +44,9 @@ from hyperpaint.light.coat_transmission import (
 )
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.responses import Responses, matching_operator
-from hyperpaint.light.sun import solar_position
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.paints.band_ratios import covariance
+from hyperpaint.radiometry.panel_surfaces import LAMBERTIAN, check_surface, is_lambertian, panel_factor
 
 from .matching_by_place import Place, match_places
 
@@ -447,6 +448,7 @@ class Measured:
         None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
     )
     place: Place = None  #: Latitude and longitude of the measured surface [degree]; None if unknown.
+    sun_zenith: float = np.nan  #: Zenith angle of the sun [degree]; NaN if unknown.
 
     @property
     def name(self) -> str:
@@ -512,13 +514,13 @@ class Measured:
         return np.asarray(vectors * np.sqrt(np.maximum(variances, 0.0)))
 
 
-def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
+def scaled_by_panel(spectra: list[Measured], panel: Any, surface: Any = LAMBERTIAN) -> list[Measured]:
     # Return references multiplied by the reflectance of their white panel.
     # ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
     # DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
-    # result is NaN.
-    # Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate;
-    # all problems are listed.
+    # result is NaN. ``surface`` as in `panel_factor`: a panel that is seen from the nadir under a clear sky.
+    # Raises `SchemaError, UnitsError`: A reference is absolute already, or has no sun for the surface, or the
+    # panel is not a certificate; all problems are listed.
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
     SchemaError.raise_if(
         not hasattr(array, "dims")
@@ -553,13 +555,39 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
         for spectrum in spectra
         if spectrum.absolute
     )
+    problems.extend(
+        Problem(
+            f"reference {spectrum.name!r} has no time and place, so that the sun on its panel is unknown",
+            expected="time, latitude and longitude, for panel_surface=",
+            mend="add them to the references, or remove the argument panel_surface=",
+            code="panel-light-unknown",
+        )
+        for spectrum in spectra
+        if np.isnan(spectrum.sun_zenith) and not is_lambertian(surface)
+    )
     problems.raise_if_any()
+    check_surface(surface, values)
     scaled = []
     for spectrum in spectra:
         factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
-        covariance = None if spectrum.covariance is None else spectrum.covariance * np.outer(factor, factor)
-        notes = (*spectrum.notes, "scaled by the panel's certificate")
-        scaled.append(spectrum.times(factor, covariance=covariance, absolute=True, notes=notes))
+        note, surface_u = "scaled by the panel's certificate", np.zeros(factor.shape)
+        if not is_lambertian(surface):
+            zenith = spectrum.sun_zenith
+            direct_share = 1.0 - diffuse_fraction(spectrum.wavelength, zenith)
+            directional = panel_factor(
+                spectrum.wavelength, zenith, surface=surface, direct_share=direct_share
+            )
+            factor, surface_u = np.asarray(factor * directional.factor), directional.u
+            note += f" and its surface, for a sun at {zenith:.0f} degrees and a clear sky"
+        result = spectrum.times(factor, absolute=True, notes=(*spectrum.notes, note))
+        # the error by the surface is common to all channels
+        own = result.values * surface_u
+        if result.u_systematic is not None:
+            result = replace(result, u_systematic=np.hypot(result.u_systematic, own))
+        if spectrum.covariance is not None:
+            covariance = spectrum.covariance * np.outer(factor, factor) + np.outer(own, own)
+            result = replace(result, covariance=covariance)
+        scaled.append(result)
     return scaled
 
 
@@ -940,6 +968,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             aspecular=_aspecular_of(dataset, number, attrs, is_level=True),
             place=_place_of(dataset, number, "spectrum"),
+            sun_zenith=_sun_zenith_of(dataset, number, attrs),
             **coat_of(attrs),
         )
 
@@ -958,20 +987,25 @@ def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
 def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any], *, is_level: bool) -> float:
     # Aspecular angle of a spectrum [degree]: as stated, or of the sun on a level sample seen from the nadir,
     # as a field spectrometer sees it (``is_level``); the view of a camera is not assumed
-    def value(name: str) -> Any:
-        array = dataset[name] if name in dataset.variables else xr.DataArray(attrs.get(name, np.nan))
-        return array.values[number] if array.ndim == 1 else array.values if array.ndim == 0 else np.nan
-
-    stated = float(value("aspecular_angle"))
+    stated = float(_value_of(dataset, number, attrs, "aspecular_angle"))
     if np.isfinite(stated) or attrs.get("measurement_geometry") in ("0/45", "45/0"):
         return stated if np.isfinite(stated) else 45.0
-    place = [float(value(name)) for name in ("latitude", "longitude")]
-    time = value("time") if "time" in dataset.variables else np.datetime64("NaT")
-    return (
-        float("nan")
-        if not is_level or "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all()
-        else float(solar_position(time, *place)[0])
-    )
+    is_unknown = not is_level or "measurement_geometry" in attrs
+    return float("nan") if is_unknown else _sun_zenith_of(dataset, number, attrs)
+
+
+def _sun_zenith_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) -> float:
+    # Zenith angle of the sun on a spectrum [degree]; NaN without its time and place
+    place = [float(_value_of(dataset, number, attrs, name)) for name in ("latitude", "longitude")]
+    time = _value_of(dataset, number, {}, "time") if "time" in dataset.variables else np.datetime64("NaT")
+    is_unknown = np.isnat(time) or not np.isfinite(place).all()
+    return float("nan") if is_unknown else float(solar_position(time, *place)[0])
+
+
+def _value_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any], name: str) -> Any:
+    # Value of a variable or an attribute for one spectrum; NaN without it
+    array = dataset[name] if name in dataset.variables else xr.DataArray(attrs.get(name, np.nan))
+    return array.values[number] if array.ndim == 1 else array.values if array.ndim == 0 else np.nan
 
 
 def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
@@ -1739,6 +1773,7 @@ def validate(
     *,
     tolerance: float | Mapping[str, float] | None = None,
     panel: xr.DataArray | xr.Dataset | None = None,
+    panel_surface: Any = LAMBERTIAN,
     parts: Mapping[str, tuple[float, float]] | None = None,
     reference_fwhm: float | None = None,
     require_all: bool = False,
@@ -1774,6 +1809,10 @@ def validate(
     panel
         Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
         relative to it.
+    panel_surface
+        Surface of this panel, for its reflectance under the sun at the time and place of each reference and a
+        clear sky, seen from the nadir: ``lambertian``, ``sintered-ptfe``, or a table of its factors or its
+        file, see `hyperpaint.radiometry.panel_factor`.
     parts
         Parts of the spectrum by name: first wavelength, and end, exclusive [nm]. By default `PARTS`.
     reference_fwhm
@@ -1800,9 +1839,10 @@ def validate(
     ------
     SchemaError, UnitsError
         An input is not a library, has no reflectance or is not a certificate; a reference is absolute while
-        ``panel`` is given; widths of channels are implausible; a pair has no band in common; ``pairs`` has
-        unknown names; several paints, or references of several folders or datasets, share a name; or nothing
-        can be paired. All problems of a kind are listed.
+        ``panel`` is given, or has no time and place while ``panel_surface`` is; widths of channels are
+        implausible; a pair has no band in common; ``pairs`` has unknown names; several paints, or references
+        of several folders or datasets, share a name; or nothing can be paired. All problems of a kind are
+        listed.
 
     Warns
     -----
@@ -1883,7 +1923,7 @@ def validate(
     problems.raise_if_any()
     reference_spectra = references_from(references, reference_fwhm)
     if panel is not None:
-        reference_spectra = scaled_by_panel(reference_spectra, panel)
+        reference_spectra = scaled_by_panel(reference_spectra, panel, panel_surface)
     matched, unpaired_signatures, unpaired_references, missing = paired(
         signatures_from(signatures), reference_spectra, pairs, place_accuracy
     )

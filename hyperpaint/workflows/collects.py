@@ -18,7 +18,7 @@ from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect, WhiteEntr
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 from hyperpaint.io.flightline.calibration_store import open_sweep
 from hyperpaint.io.flightline.flightline_opening import Reference, Timing, read_reference
-from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate, read_panel_table
 from hyperpaint.io.store import to_store
 from hyperpaint.light.aircraft_receiver import level_irradiance
 from hyperpaint.pictures.figures import check_picture
@@ -141,7 +141,10 @@ def opened_collect(
         if isinstance(reflectance, Path):
             certificate = read_certificate(reflectance)
             reflectance = np.stack([certificate["wavelength"].values, certificate.values], axis=-1).tolist()
-        panels_by_line.setdefault(panel.line, []).append({**vars(panel), "reflectance": reflectance})
+        surface = panel.surface
+        table = surface if isinstance(surface, str) else read_panel_table(surface).to_dict()
+        row = {**vars(panel), "reflectance": reflectance, "surface": table}
+        panels_by_line.setdefault(panel.line, []).append(row)
     for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
     return opened

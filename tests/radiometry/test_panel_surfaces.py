@@ -1,15 +1,17 @@
-"""Reflectance of panels by direction: measured factors, reciprocity, energy."""
+"""Reflectance of panels by direction: measured factors, reciprocity, energy, and panels of a flight."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
+from support.laid_panels import Laid, flown_over
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.radiometry import panel_factor, panel_surfaces
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.radiometry import panel_closure, panel_factor, panel_surfaces
 
 # Factors of white sintered PTFE over its reflectance for light from 8 degrees, mean of 532, 633 and 1064 nm,
 # evaluated from the expansion of T. A. Germer, Appl. Opt. 56, 9333 (2017): zenith angles of light and view,
@@ -60,9 +62,51 @@ def test_the_hemisphere_reflects_the_certificate(monkeypatch: pytest.MonkeyPatch
     assert factor_of(30.0, direct_share=0.0) == 1.0
 
 
-def test_a_surface_and_a_direction_are_checked() -> None:
+@pytest.mark.parametrize(("sun", "truth"), [(30.0, 1.0436), (45.0, 1.0155), (60.0, 0.9756)])
+def test_a_panel_of_a_flight_closes_with_its_surface(sun: float, truth: float) -> None:
+    place = {"seed": 7, "sun_zenith": sun, "irradiance_noise": 0.0}
+    plain, own = (Laid(texture=0.0, reflectance=0.95, directional=each) for each in (1.0, truth))
+    line, region = flown_over(own, **place), (own.along, own.across, 0.95)
+
+    def error(**surface: Any) -> np.ndarray:
+        level = panel_closure(flown_over(plain, **place), plain.panel).panel_factor.values[0]
+        factor = panel_closure(line, hp.Panel(*region, **surface)).panel_factor.values[0]
+        return np.asarray(factor / level - 1.0)
+
+    with pytest.warns(PaintWarning, match="panel-doubtful"):
+        lambertian = error()
+    # the sun has most of the light
+    assert 0.7 < np.median(lambertian) / (truth - 1.0) < 1.0
+    assert np.abs(lambertian).max() > 0.012
+    # a table of exactly this panel, and white sintered PTFE in general
+    degrees = ("sun_zenith", [sun - 5.0, sun + 5.0], {"units": "degree"})
+    table = xr.DataArray([truth, truth], {"sun_zenith": degrees}, ["sun_zenith"])
+    assert np.abs(error(surface=table)).max() < 1e-3
+    assert np.abs(error(surface="sintered-ptfe")).max() < 2e-3
+    # read as Lambertian it is refused as tilted, unless its uncertainty allows for that
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="panel-refused"):
+        hp.reflectance(line, panel=hp.Panel(*region)).compute()
+    scaled = hp.reflectance(line, panel=hp.Panel(*region, surface="sintered-ptfe"), uncertainty=True)
+    seen = scaled.reflectance.isel(along_track=own.along, cross_track=own.across)
+    expected = 0.95 * (1.0 + lambertian)
+    np.testing.assert_allclose(seen.mean(("along_track", "cross_track")), expected, rtol=3e-3)
+    assert 0.009 < float(scaled.panel_scale_u.max()) < 0.016
+
+
+def test_a_surface_needs_the_sun() -> None:
+    laid = Laid(texture=0.0, reflectance=0.95)
+    line = flown_over(laid, seed=7).drop_vars(["latitude", "longitude"])
+    panel = hp.Panel(laid.along, laid.across, 0.95, surface="sintered-ptfe")
     expect_refusals(
-        (SchemaError, "panel-surface-unknown", "glossy", lambda: factor_of(30.0, surface="glossy")),
+        (SchemaError, "panel-light-unknown", "position", lambda: panel_closure(line, panel).compute()),
+        (
+            SchemaError, "panel-surface-unknown", "glossy",
+            lambda: hp.Panel(*[slice(9)] * 2, 0.9, surface="glossy"),
+        ),
+        (
+            SchemaError, "panel-surface-grey", "0.5", "0.9",
+            lambda: hp.Panel(*[slice(9)] * 2, 0.5, surface="sintered-ptfe"),
+        ),
         (
             SchemaError, "panel-direction-outside", "sun_zenith", "80.0", "75", "view_zenith", "45",
             lambda: factor_of(80.0, 50.0),

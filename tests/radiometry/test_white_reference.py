@@ -96,6 +96,26 @@ def test_tile_exposure_and_lamp_are_accounted_for(tmp_path: Path):
                                 dark=dark, tile=TILE)  # fmt: skip
 
 
+def test_the_surface_of_the_tile_changes_its_reflectance():
+    scene, white, dark = cube(0.3), cube(TILE), cube(0.0)
+    options = {"tile": 0.95, "dark": dark, "tile_uncertainty": 0.01}
+    plain = hp.radiometry.white_reference(scene, white, **options)
+    # lamps at 60 degrees over sintered PTFE: 0.976 of the certificate [Germer 2017]
+    lit = hp.radiometry.white_reference(
+        scene, white, tile_surface="sintered-ptfe", light_zenith=60.0, **options
+    )
+    ratio = (lit.reflectance_gain / plain.reflectance_gain).values
+    np.testing.assert_allclose(ratio[np.isfinite(ratio)], 0.9756, atol=3e-3)
+    assert 0.014 < lit.reflectance_gain_u_systematic.item() < 0.02
+    expect_refusals(
+        (SchemaError, "panel-light-unknown", "light",
+         lambda: hp.radiometry.white_reference(scene, white, tile_surface="sintered-ptfe", **options)),
+        (SchemaError, "panel-surface-grey", "0.5",
+         lambda: hp.radiometry.white_reference(scene, white, tile_surface="sintered-ptfe", light_zenith=60.0,
+                                               **options | {"tile": 0.5})),
+    )  # fmt: skip
+
+
 def test_the_uncertainty_of_the_gain_is_its_scatter_when_the_lamp_fades_by_half():
     scene, errors = cube(0.4, start_s=100.0), []
     for _ in range(12):

@@ -25,6 +25,7 @@ class Laid:
     lean: tuple[float, float] = (0.0, 0.0)  # angle and azimuth of its normal [degree]
     shaded: float = 0.0  # share of its pixels without the sun, in a corner
     asphalt: float = 0.0  # share of its pixels that show 0.05 besides, from all of it to none
+    directional: float = 1.0  # reflectance factor in the light of the sun, over that in the light of the sky
     level: float = 1.0  # of what the camera sees of it, as a panel that has aged
 
     @property
@@ -75,7 +76,7 @@ class _OverPanels(PlanFlight):
                 factor * part[:, laid.across] for factor, part in zip(factors, self.incident, strict=True)
             )
             ground = 0.2 * (1.0 - view) * (direct + diffuse)
-            seen[:, laid.across] = rho * (sun * direct + view * diffuse + ground)
+            seen[:, laid.across] = rho * (laid.directional * sun * direct + view * diffuse + ground)
         return seen
 
 

@@ -424,6 +424,36 @@ def test_a_panel_scales_what_is_relative() -> None:
     assert not left["used"].values[(NM < 500) | (NM > 600)].any()
 
 
+def test_the_surface_of_a_panel_scales_by_the_sun() -> None:
+    signatures, references = agreeing()
+    panel = xr.DataArray(
+        [0.98, 0.98],
+        {"wavelength": ("wavelength", [300.0, 2500.0], {"units": "nm"})},
+        "wavelength",
+        attrs={"units": "1"},
+    )
+    # summer and autumn at noon in Rochester: the sun at 21 and 54 degrees
+    for day, zenith, factor in (("2021-07-01", 20.0, 1.057), ("2021-10-12", 50.9, 1.002)):
+        placed = references.assign_coords(
+            time=np.datetime64(f"{day}T17:10", "ns"), latitude=43.1, longitude=-77.6
+        )
+        found = hp.validate(signatures, placed, panel=panel, panel_surface="sintered-ptfe")
+        assert any(f"a sun at {zenith:.0f} degrees" in note for note in found.notes[0])
+        # factors of direct light; a clear sky adds a tenth without them
+        share = 0.9 * (factor - 1.0)
+        assert value_of(found, "scale") == pytest.approx(1 / 0.98 / (1.0 + share), abs=6e-3)
+    expect_refusals(
+        (
+            SchemaError, "panel-light-unknown", "time and place",
+            lambda: hp.validate(signatures, references, panel=panel, panel_surface="sintered-ptfe"),
+        ),
+        (
+            SchemaError, "panel-surface-unknown", "glossy",
+            lambda: hp.validate(signatures, placed, panel=panel, panel_surface="glossy"),
+        ),
+    )  # fmt: skip
+
+
 def test_matched_detectors_are_told() -> None:
     signatures, references = agreeing()
     told = references.assign_coords(

@@ -240,6 +240,17 @@ def test_a_declared_panel_scales_its_line_and_is_reported(flown: Path, tmp_path:
 
 
 @NO_ATTITUDE
+def test_a_declared_surface_reaches_the_line(flown: Path) -> None:
+    (flown.parent / "own.csv").write_text("sun_zenith,factor\n0,1.06\n80,0.9\n", encoding="utf-8")
+    panels = PANEL + "reflectance = 0.95\nsurface = 'sintered-ptfe'\nview = [4.0, 270.0]\n"
+    panels += PANEL + "reflectance = 0.5\nsurface = 'own.csv'\n"
+    line = hp.open_collect(with_panels(flown, panels))["flightlines"]["raw_0"].to_dataset()
+    white, grey = declared_panels(line)
+    assert (white.surface, white.view, grey.view) == ("sintered-ptfe", (4.0, 270.0), (0.0, 0.0))
+    assert grey.surface.sel(sun_zenith=80.0).item() == 0.9
+
+
+@NO_ATTITUDE
 def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
     def refused(text: str) -> CollectError:
         return expect_error(CollectError, None, lambda: hp.open_collect(with_panels(flown, text)))
@@ -253,6 +264,7 @@ def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
             PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n", "file-not-found, option-conflict",
             "certificate",
         ),
+        (PANEL + "reflectance = 0.5\nsurface = 'glossy'\n", "file-not-found", "surface"),
         (PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n", "choice-unknown", "raw_0"),
         (
             PANEL + "reflectance = 50\nuncertainty = 5\n", "value-out-of-range",

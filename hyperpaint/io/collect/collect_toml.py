@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.constants import ALIGNMENTS, Alignment
+from hyperpaint.base.constants import ALIGNMENTS, PANEL_SURFACES, Alignment
 from hyperpaint.base.errors import (
     CollectError,
     Findings,
@@ -88,6 +88,13 @@ _SPAN: Any = {
     "phrase": "two whole numbers: the first index, and the index after the last",
     "needed": True, "example": [70, 84],
 }  # fmt: skip
+_SURFACE = _text(
+    "surface",
+    "surface of the panel or tile, for its reflectance by direction: lambertian, "
+    "sintered-ptfe (such as Spectralon, white), or a file of its own factors",
+    default=PANEL_SURFACES[0],
+    example=PANEL_SURFACES[1],
+)
 _EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
 
 #: Facts of every key of every table.
@@ -171,6 +178,11 @@ SCHEMA: Mapping[str, Facts] = {
         _number("uncertainty",
                 "relative standard uncertainty of the tile's reflectance, such as 0.02 for 2 %",
                 least=0, most=1, below=True, example=0.02),
+        _SURFACE,
+        _number("light_zenith_deg", "zenith angle of the lamps or the sun over the tile; for surface",
+                unit="degree", least=0, most=90, example=45.0),
+        _number("direct_share", "direct light over all light on the tile; for surface",
+                least=0, most=1, default=1.0),
         _number("exposure_time_ms", "exposure time of the white; by default from settings.txt or the header "
                 "of its cube", **_EXPOSURE),
     ]),
@@ -254,6 +266,10 @@ SCHEMA: Mapping[str, Facts] = {
         Fact(name="tilt", kind="numbers", length=2, unit="degree", example=[2.0, 180.0],
              doc="tilt of the panel: angle of its normal from the vertical, and azimuth of the normal, "
              "clockwise from north; by default level"),
+        _SURFACE,
+        Fact(name="view", kind="numbers", length=2, unit="degree", default=[0.0, 0.0],
+             doc="zenith angle of the camera, seen from the panel, and its azimuth, clockwise from north; "
+             "for surface"),
     ]),
 }  # fmt: skip
 
@@ -306,6 +322,8 @@ class PanelEntry:
     reflectance: float | Path  #: Reflectance, or the file of its certificate.
     uncertainty: float
     tilt: tuple[float, float] | None
+    surface: str | Path  #: One of `PANEL_SURFACES`, or the file of its factors.
+    view: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -375,6 +393,12 @@ def _target_reflectance(reader: _Reader, subject: str, table: Mapping[str, Any])
     return reader.path(subject, "certificate", table.get("certificate")) or table.get("reflectance")
 
 
+def _surface(reader: _Reader, subject: str, table: Mapping[str, Any]) -> Any:
+    # Name of the surface of a panel or a white tile, or the file of its factors
+    name = table.get("surface", PANEL_SURFACES[0])
+    return name if name in PANEL_SURFACES else reader.path(subject, "surface", name)
+
+
 def _white(reader: _Reader) -> WhiteEntry | None:
     table = reader.one("reference")
     if not reader.tables["reference"]:
@@ -392,6 +416,9 @@ def _white(reader: _Reader) -> WhiteEntry | None:
     options = {
         "tile": tile,
         "tile_uncertainty": table.get("uncertainty"),
+        "tile_surface": _surface(reader, "[reference]", table),
+        "light_zenith": table.get("light_zenith_deg"),
+        "direct_share": table.get("direct_share", 1.0),
         "white_dark": list(files["dark"]) if "dark" in files else None,
         "white_exposure_time": _seconds("exposure_time_ms", table),
     }
@@ -543,6 +570,8 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
             reflectance,
             table.get("uncertainty", 0.0),
             tuple(table["tilt"]) if "tilt" in table else None,
+            _surface(reader, subject, table),
+            tuple(table.get("view", (0.0, 0.0))),
         )
 
 
