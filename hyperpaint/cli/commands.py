@@ -1106,7 +1106,7 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
 
 
 _LIBRARY_FORMATS = ("envi", "csv", "parquet", "zarr")
-_SCENE_OPTIONS = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
+_SCENE_OPTIONS = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves"}
 _DEFAULT_NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
@@ -1169,14 +1169,14 @@ Examples:
     },
     specular={
         "type": str,
-        "metavar": "SHARE",
+        "metavar": "F0",
         "default": None,
-        "help": "DIRSIG: mirrored share of body reflectance, or 'library'.  [default: 0]",
+        "help": "DIRSIG: reflectance of clear coats at normal incidence, or 'library'.  [default: 0]",
     },
     surface={
         "type": click.Choice(["ClassicEmissivity", "SimpleReflectance"]),
         "default": None,
-        "help": "DIRSIG: surface model of the materials.  [default: ClassicEmissivity]",
+        "help": "DIRSIG: surface model of paints without a coat.  [default: ClassicEmissivity]",
     },
     scene_materials={
         "type": EXISTING_FILE,
@@ -1190,7 +1190,6 @@ Examples:
     metavar="SCENE.toml",
     help="DIRSIG: write the complete scene of a render, painted with LIBRARY.",
 )
-@click.option("--coat-brdf", is_flag=True, help="DIRSIG: clear coats of a scene as the BRDF Shell Target.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
 def export(library: Path, form: str, out: Path | None, overwrite: bool, **options: Any) -> None:
     """Write a paint library for simulators and other programs.
@@ -1211,7 +1210,7 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
         if "scene" in options_set:
             if unused := sorted(set(options_set) - _SCENE_OPTIONS):
                 names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
-                raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
+                raise click.UsageError(f"{names} not with --scene [option-conflict]")
             scene = workflows.rendering.export_dirsig_scene(
                 options_set.pop("scene"),
                 out,
@@ -1227,9 +1226,6 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
             )
             return
         if form == "dirsig":
-            if options_set.pop("coat_brdf", False):
-                raise click.UsageError("--coat-brdf only with --scene [option-conflict]")
-
             share = options_set.get("specular", "library")
             if share != "library":
                 try:

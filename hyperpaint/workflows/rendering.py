@@ -619,6 +619,9 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
             )
         else:
             paint, record = open_library(path.parent / file), records.get(str(material.id), {})
+            if coat := record.get("coat_reflectance", 0.0):  # curves of a BRDF include its coat
+                body = {name: paint[name] - np.float32(coat) for name in paint.data_vars}
+                paint = paint.assign({name: body[name].assign_attrs(paint[name].attrs) for name in body})
             centre = path.parent / str(record.get("reflectance_file", file))
             if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
                 curve = open_library(centre)

@@ -214,7 +214,6 @@ def test_a_scene(store: Path, tmp_path: Path) -> None:
         (("dirsig", "--specular", "0.1"), "would count twice"),
         (("dirsig", "--specular", "much"), "expected a number or 'library'"),
         (("dirsig", "--curves", "all"), "choice-unknown"),
-        (("dirsig", "--coat-brdf"), "--coat-brdf only with --scene"),
         (("dirsig", "--scene", "scene.toml", "--specular", "0.1"), "--specular not with --scene"),
         (("csv", "--curves", "members"), "expected centre or all for csv"),
         (("csv", "--scene", "scene.toml"), "--scene only with --format dirsig"),

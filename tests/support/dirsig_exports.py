@@ -49,6 +49,14 @@ def library(paints: int = 3, members: int = 5, seed: int = 0, **attrs: Any) -> x
     )
 
 
+def specular_fraction(material: Any) -> float | None:
+    # Return SPECULAR_FRACTION of a material, None without it
+    surface = material.entry.section("SURFACE_PROPERTIES")
+    properties = surface.section("EMISSIVITY_PROP") if surface else None
+    text = properties.get("SPECULAR_FRACTION") if properties else None
+    return None if text is None else float(text)
+
+
 def files(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()

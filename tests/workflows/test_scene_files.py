@@ -937,6 +937,17 @@ def test_a_library_paints_the_cars_of_a_traced_scene() -> None:
     )
 
 
+def test_a_coat_that_was_exported_is_no_part_of_the_body(tmp_path: Path) -> None:
+    paints = library_rendered()
+    hp.write_dirsig(paints, tmp_path / "coated", specular="library")
+    hp.write_dirsig(paints, tmp_path / "plain")
+    coated, plain = (read_paints(tmp_path / name) for name in ("coated", "plain"))
+    assert list(coated) == list(plain) == NAMES
+    for name in NAMES:
+        for variable in ("reflectance", "member_reflectance"):
+            np.testing.assert_allclose(coated[name][variable], plain[name][variable], atol=2e-6)
+
+
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("nothing here\n")
     expect_error(FormatError, "table-missing", lambda: read_spectra(tmp_path / "x.csv"))

@@ -454,19 +454,15 @@ class Material:
 
     @property
     def emissivity_file(self) -> str | None:
-        # Path of the emissivity file, as written; not opened.
-        return self._property("EMISSIVITY_PROP", "FILENAME")
+        # Path of the emissivity file, as written; not opened. That of a BRDF includes its coat.
+        return self._property("EMISSIVITY_PROP", "FILENAME") or self._property(
+            "REFLECTANCE_PROP", "EMISSIVITY_FILE"
+        )
 
     @property
     def reflectance_file(self) -> str | None:
         # Path of the two-column reflectance file, as written.
         return self._property("REFLECTANCE_PROP", "TXT_FILENAME")
-
-    @property
-    def specular_fraction(self) -> float | None:
-        # Share of reflectance that is specular [1]; None if the file does not have it.
-        text = self._property("EMISSIVITY_PROP", "SPECULAR_FRACTION")
-        return None if text is None else float(text)
 
     def _property(self, section: str, key: str) -> str | None:
         surface = self.entry.section("SURFACE_PROPERTIES")

@@ -21,7 +21,7 @@ from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, 
 from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Ints, Variable, require
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Floats, Ints, Variable, require
 from hyperpaint.io.files.publishing import published_folder
 
 from .dirsig_files import (
@@ -57,83 +57,113 @@ MIN_NM, MAX_NM = 1.0, 1e5
 _BLOCK_BYTES = 8 * 2**20
 
 
+#: Reflectance of a clear coat at normal incidence above which it is none [1].
+_MOST_COAT = 0.5
+
+
+class Coats(NamedTuple):
+    # Clear coats of the paints of a library, 0 for matte paints.
+    reflectance: Floats  # Fresnel reflectance at normal incidence (signature,) [1]
+    roughness: Floats  # GGX alpha (signature,) [1]
+
+
+def coats_of(library: xr.Dataset, specular: float | str, roughness: float) -> Coats:
+    # Return the clear coats of the paints of a library.
+    # ``specular``: reflectance of the coats at normal incidence [1]; ``library`` for the mean of
+    # ``specular_reflectance``.
+    # Raises `SchemaError`: The attribute ``mirror_reflection`` is neither ``included`` nor ``excluded``; a
+    # value is out of range; a coat would count twice; or ``specular`` is ``library`` without a
+    # ``specular_reflectance``.
+    problems = Problems("clear coats cannot be written", SchemaError)
+    is_from_library = specular == "library"
+    has_specular = _SPECULAR in library.variables
+    try:
+        declared = mirror_reflection(library)
+    except SchemaError as error:
+        problems.add_error("", error)
+        declared = None
+    if is_from_library and has_specular:
+        mirrored = require(library, [_SPECULAR], "DIRSIG materials", _ROWS)[_SPECULAR]
+        values = np.nan_to_num(mirrored.astype(np.float64).mean(BAND).values)
+    else:
+        level = 0.0 if is_from_library else float(specular) if is_number(specular) else np.nan
+        values = np.full(library.sizes[SIGNATURE], level)
+    for is_wrong, found, expected, mend, option, code in (
+        (
+            not ((values >= 0.0) & (values < _MOST_COAT)).all(),
+            f"specular={specular!r}" + (f" of up to {values.max():g}" if is_from_library else ""),
+            f"0 to below {_MOST_COAT:g}, or 'library'",
+            "pass the reflectance of the coat at normal incidence, such as 0.04",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            not (is_number(roughness) and 0.0 <= roughness <= 1.0),
+            f"roughness={roughness!r}",
+            "0 to 1",
+            "",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            is_from_library and not has_specular,
+            "specular='library', but the library has no specular_reflectance (signature, band)",
+            "",
+            "",
+            "",
+            "variable-missing",
+        ),
+        (
+            # without a declaration the coat is taken as included, so that it cannot count twice
+            specular != 0.0 and (declared or INCLUDED) == INCLUDED and (not is_from_library or has_specular),
+            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
+            "would count twice",
+            "",
+            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+            "leave specular out, or give body reflectance (signatures --specular-sky)",
+            "coat-counted-twice",
+        ),
+    ):
+        problems.add_if(is_wrong, found, expected=expected, mend=mend, option=option, code=code)
+    problems.raise_if_any()
+    return Coats(values, np.full(values.shape, float(roughness)))
+
+
 class PaintCurves:
-    # Curves of the paints of a library as they are written, and the treatment of the light that the clear
-    # coat mirrors.
-    # specular: specular fraction of DIRSIG's reflectance; ``library`` to compute it from
-    # ``specular_reflectance``. curves: key of `CURVES`. wavelength_range: low and high end [nm], None for the
-    # measured range. extrapolate: whether curves are constant beyond the measured range. gaps: treatment of
-    # bands without values between others, one of `GAPS`. max_curves: maximum number of curves of a paint,
-    # None for all.
-    # Raises `SchemaError`: The attribute ``mirror_reflection`` is neither ``included`` nor ``excluded``; the
-    # specular fraction is below 0, or 1 or more, or would count the coat twice; or ``specular`` is
-    # ``library`` without a ``specular_reflectance``. A wavelength is not finite or out of range, or two are
-    # equal as written.
+    # Curves of the paints of a library as they are written.
+    # coats: of the paints. curves: key of `CURVES`. wavelength_range: low and high end [nm], None for the
+    # measured range. extrapolate: whether curves are constant beyond the measured range, or up to which
+    # distance [nm]. gaps: treatment of bands without values between others, one of `GAPS`. max_curves:
+    # maximum number of curves of a paint, None for all.
+    # Raises `SchemaError`: The attribute ``mirror_reflection`` is neither ``included`` nor ``excluded``. A
+    # wavelength is not finite or out of range, or two are equal as written.
 
     def __init__(
         self,
         library: xr.Dataset,
-        specular: float | str,
+        coats: Coats,
         *,
         curves: str = "centre",
         wavelength_range: tuple[float, float] | None = None,
-        extrapolate: bool = False,
+        extrapolate: bool | float = False,
         gaps: str | None = None,
         max_curves: int | None = None,
     ) -> None:
-        self.library, self.specular, self.curves = library, specular, curves
+        self.library, self.coats, self.curves = library, coats, curves
         self.wavelength_range, self.extrapolate = wavelength_range, extrapolate
         self.gaps, self.max_curves = gaps or GAPS[0], max_curves
-        problems = Problems("the specular term cannot be written", SchemaError)
-        has_specular = _SPECULAR in library.variables
-        declared = None
-        try:
-            declared = mirror_reflection(library)
-        except SchemaError as error:
-            problems.add_error("", error)
-        # without a declaration the coat is taken as included, so that it cannot count twice
-        self.mirror_reflection = mirror = declared or INCLUDED
-        is_number = not isinstance(specular, str) and 0.0 <= specular < 1.0
-        problems.extend(
-            Problem(found, expected=expected, mend=mend, option=option, code=code)
-            for is_wrong, found, expected, mend, option, code in (
-                (
-                    specular != "library" and not is_number,
-                    f"specular={specular!r}",
-                    "0 to below 1, or 'library'",
-                    "",
-                    "",
-                    "value-out-of-range",
-                ),
-                (
-                    specular == "library" and not has_specular,
-                    "specular='library', but the library has no specular_reflectance (signature, band)",
-                    "",
-                    "",
-                    "",
-                    "variable-missing",
-                ),
-                (
-                    specular != 0.0 and mirror == INCLUDED and (specular != "library" or has_specular),
-                    f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
-                    "would count twice",
-                    "",
-                    "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-                    f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
-                    "leave specular out, or give body reflectance (signatures --specular-sky)",
-                    "coat-counted-twice",
-                ),
-            )
-            if is_wrong
-        )
-        problems.raise_if_any()
-        term = f"SPECULAR_FRACTION of {specular}; emissivity = 1 - reflectance / (1 - fraction)"
+        declared = mirror_reflection(library)
+        self.mirror_reflection = declared or INCLUDED
+        glossy = int((coats.reflectance > 0.0).sum())
         self.attrs = {
-            "mirror_reflection": mirror,
+            "mirror_reflection": self.mirror_reflection,
             "mirror_reflection_source": "stated by the library"
             if declared
             else "not stated by the library, assumed",
-            "specular_term": "none: reflectance is diffuse" if specular == 0.0 else term,
+            "specular_term": f"the BRDF Shell Target of {glossy} paints; emissivity = 1 - reflectance - coat"
+            if glossy
+            else "none: reflectance is diffuse",
         }
         # bands in ascending order
         names = [name for name in ("wavelength", "good") if name in library.variables]
@@ -173,7 +203,7 @@ class PaintCurves:
         # paints; and ``centre`` (signature, band) and ``curves`` (signature, curve, band) [1], in the
         # library's order of bands.
         library, name = self.library, CURVES[self.curves]
-        names = [key for key in dict.fromkeys(["reflectance", name, _SPECULAR]) if key in library.variables]
+        names = [*dict.fromkeys(["reflectance", name])]
         count = library.sizes[SIGNATURE]
         size = 4 * library[name].size // max(count, 1)
         step = max(1, _BLOCK_BYTES // max(size, 1))
@@ -190,28 +220,18 @@ class PaintCurves:
             curves = blocks[name] if blocks[name].ndim == 3 else blocks[name][:, np.newaxis]
             yield paints, {**blocks, "centre": blocks["reflectance"], "curves": curves}
 
-    def of_paint(
-        self, centre: Array, curves: Array, mirror: Array | None
-    ) -> tuple[Array, Array, Array, dict[str, Any]]:
+    def of_paint(self, centre: Array, curves: Array) -> tuple[Array, Array, Array, dict[str, Any]]:
         # Return the curves of one paint, as they are written, and their items of its record.
-        # ``centre``, ``mirror``, ``curves``: reflectance of body and coat (band,) and of the population
-        # (curve, band) in the library's order of bands; curves without a value are dropped. Returns ascending
-        # wavelengths (wavelength,) [nm], the centre (wavelength,) [1], the population (curve, wavelength) [1]
-        # with complete curves first, and items of the record: the ``specular_fraction``; the range and the
-        # ``measured`` range [nm]; numbers of ``complete`` curves, of ``interpolated`` samples, of members
-        # ``left_out`` without a value at an end, of curves ``thinned`` above ``max_curves``; ``gaps`` [nm];
-        # ends ``extrapolated``; ``is_centre`` where no member has values at both ends, so that the centre is
-        # the only curve.
+        # ``centre``, ``curves``: reflectance (band,), and of the population (curve, band), in the library's
+        # order of bands; curves without a value are dropped. Returns ascending wavelengths (wavelength,)
+        # [nm], the centre (wavelength,) [1], the population (curve, wavelength) [1] with complete curves
+        # first, and items of the record: the range and the ``measured`` range [nm]; numbers of ``complete``
+        # curves, of ``interpolated`` samples, of members ``left_out`` without a value at an end, of curves
+        # ``thinned`` above ``max_curves``; ``gaps`` [nm]; ends ``extrapolated``; ``is_centre`` where no
+        # member has values at both ends, so that the centre is the only curve.
         # Raises `SchemaError`: The paint has no values, has gaps that are refused, or does not cover the
         # wavelength range.
-        centre = np.where(self.good, centre[self.order], np.nan)
-        fraction = 0.0 if isinstance(self.specular, str) else round(float(self.specular), 4)
-        if self.specular == "library" and mirror is not None:
-            mirror = mirror[self.order]
-            is_known = np.isfinite(mirror) & np.isfinite(centre)
-            coat, body = (float(np.clip(values[is_known], 0.0, 1.0).sum()) for values in (mirror, centre))
-            fraction = min(round(coat / (coat + body), 4), 0.9999) if coat > 0.0 else 0.0
-        centre = centre.astype(np.float64)
+        centre = np.where(self.good, centre[self.order], np.nan).astype(np.float64)
         curves = np.where(self.good, curves[:, self.order].astype(np.float64), np.nan)
         curves = curves[np.isfinite(curves).any(axis=1)]
         usable = np.flatnonzero(np.isfinite(centre))
@@ -227,14 +247,14 @@ class PaintCurves:
         low, high = self.wavelength_range or measured
         below, above = bool(low < measured[0]), bool(high > measured[1])
         is_outside = low >= measured[1] or high <= measured[0]
-        if is_outside or ((below or above) and not self.extrapolate):
+        limit = np.inf if self.extrapolate is True else float(self.extrapolate)
+        if is_outside or max(measured[0] - low, high - measured[1]) > limit:
             wanted = f"{low:g} to {high:g} nm"
-            outside = f", outside {wanted}" if is_outside else ""
             advice = "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends"
             raise SchemaError(
-                f"measured {measured[0]:g} to {measured[1]:g} nm{outside}",
-                expected="" if is_outside else wanted,
-                mend="" if is_outside else advice,
+                f"measured {measured[0]:g} to {measured[1]:g} nm",
+                expected=wanted,
+                mend="leave the paint out, or choose a range within" if is_outside else advice,
                 code="wavelength-uncovered",
             )
         # usable bands within the range, and the next band beyond each end, so that the range is covered
@@ -293,7 +313,6 @@ class PaintCurves:
             "left_out": int((~has_ends).sum()),
             "thinned": thinned,
             "extrapolated": " and ".join(["below"] * below + ["above"] * above),
-            "specular_fraction": fraction,
         }
         return wavelength, np.pad(centre, padding, "edge"), np.pad(curves, ((0, 0), padding), "edge"), record
 
@@ -323,7 +342,7 @@ def thinned_rows(curves: Array, is_filled: Array, max_curves: int | None) -> Arr
 # --- the folder of an export -------------------------------------------------------------------------------
 
 
-EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
+EMISSIVITY, REFLECTANCE, BRDF = "emissivity", "reflectance", "brdf"
 
 #: Name of the file that identifies an export.
 MARKER = "paints.json"
@@ -331,7 +350,7 @@ MARKER = "paints.json"
 FORMAT = "hyperpaint DIRSIG export"
 #: Names of files and folders in exports.
 _EXPORT_NAME = re.compile(
-    r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
+    r"emissivity|reflectance|brdf|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
 
 _MAX_BYTES = 256 * 2**20
@@ -410,16 +429,18 @@ _SOLVERS = {
         ("MIN_QUAD_SAMPLES", "1"),
     ),
 }
-#: Properties of the surface models: section, then keys with the items of a paint's record.
+#: Properties of the surface models: section, keys with the items of a paint's record, and constant pairs.
 _PROPERTIES = {
     "ClassicEmissivity": (
         "EMISSIVITY_PROP",
-        (("FILENAME", "emissivity_file"), ("SPECULAR_FRACTION", "specular_fraction")),
+        (("FILENAME", "emissivity_file"),),
+        (("SPECULAR_FRACTION", "0"),),
     ),
-    "SimpleReflectance": ("REFLECTANCE_PROP", (("TXT_FILENAME", "reflectance_file"),)),
+    "SimpleReflectance": ("REFLECTANCE_PROP", (("TXT_FILENAME", "reflectance_file"),), ()),
     "ShellTarget": (
         "REFLECTANCE_PROP",
         (("EMISSIVITY_FILE", "emissivity_file"), ("BRDF_FIT_FILE", "fit_file")),
+        (),
     ),
 }
 #: Changes of spectra that are warned of: item of a paint's record, and its description.
@@ -441,12 +462,13 @@ def write_dirsig(
     *,
     curves: str | None = None,
     wavelength_range: tuple[float, float] | None = None,
-    extrapolate: bool = False,
+    extrapolate: bool | float = False,
     gaps: str | None = None,
     max_curves: int | None = None,
     specular: float | str = 0.0,
+    roughness: float = 1e-3,
     surface: str = "ClassicEmissivity",
-    rad_solver: str = "Classic",
+    rad_solver: str | None = None,
     thermal: Mapping[str, float] | None = None,
     double_sided: bool = False,
     scene_materials: str | os.PathLike[str] | None = None,
@@ -456,7 +478,8 @@ def write_dirsig(
     r"""Write the paints of a library as materials of the simulator DIRSIG.
 
     Every paint becomes an ``.ems`` file with many curves, from which a texture can select, a two-column
-    ``.txt`` of its centre and a MATERIAL_ENTRY. The folder also contains a fragment of a geometry list and a
+    ``.txt`` of its centre and a MATERIAL_ENTRY; a clear coat is a ``.fit`` file of the BRDF Shell Target. The
+    folder also contains a fragment of a geometry list and a
     README with the steps to add the paints to a scene. It appears when all files are complete. Paints are
     read and written in blocks.
 
@@ -472,8 +495,8 @@ def write_dirsig(
         Low and high end [nm]; the next band beyond each end is written too, so that the range is covered. By
         default the measured range.
     extrapolate
-        Continue curves as constants where ``wavelength_range`` exceeds the measured range; the README says
-        where.
+        Continue curves as constants where ``wavelength_range`` exceeds the measured range, or only over a
+        distance [nm]; the README says where.
     gaps
         Treatment of bands without values, or not ``good``, within the range: ``interpolate`` linearly, or
         ``refuse`` with an error. By default they are interpolated, with a warning; the README lists the
@@ -484,13 +507,15 @@ def write_dirsig(
         Maximum number of curves of a paint, chosen at equal steps of their rank in brightness, complete
         curves first; None for all.
     specular
-        Fraction of reflectance that is specular in DIRSIG [1], or ``library`` to compute it from the
-        library's ``specular_reflectance`` (signature, band). Only for reflectance without mirrored light.
+        Reflectance of the clear coats at normal incidence [1], such as 0.04, or ``library`` for the mean of
+        the library's ``specular_reflectance`` (signature, band). Only for reflectance without mirrored light.
+    roughness
+        Roughness of the clear coats, the parameter alpha of the GGX model [1].
     surface
-        Surface model: ``ClassicEmissivity`` (reads the ``.ems``) or ``SimpleReflectance`` (reads the
-        ``.txt``).
+        Surface model of paints without a coat: ``ClassicEmissivity`` (reads the ``.ems``) or
+        ``SimpleReflectance`` (reads the ``.txt``).
     rad_solver
-        Name of DIRSIG's radiometry solver.
+        Name of DIRSIG's radiometry solver; by default ``Generic`` for coats, ``Classic`` for other paints.
     thermal
         Parameters of the temperature solver Therm, all of ``specific_heat``, ``mass_density``,
         ``thermal_conductivity``, ``solar_absorption``, ``thermal_emissivity``, ``exposed_area`` and
@@ -505,7 +530,8 @@ def write_dirsig(
     Returns
     -------
     Dataset
-        Properties of the materials (signature): ``material_id``, ``emissivity_file``; numbers of ``curves``,
+        Properties of the materials (signature): ``material_id``, ``emissivity_file``, ``fit_file``, empty
+        without a coat, ``coat_reflectance``; numbers of ``curves``,
         of ``complete`` curves, of their samples that were ``clipped`` and ``interpolated``, of samples of the
         ``.txt`` that were ``centre_clipped`` and ``centre_interpolated``, of members ``left_out`` (without
         values at an end) and ``thinned`` (above ``max_curves``); the range, and the ends ``extrapolated``.
@@ -526,14 +552,14 @@ def write_dirsig(
 
     Notes
     -----
-    Of an opaque paint
+    Of an opaque paint of body reflectance :math:`\rho` under a coat of reflectance :math:`F_0` (``specular``)
 
-    .. math:: \epsilon = 1 - \rho / (1 - s)
+    .. math:: \epsilon = 1 - \rho - F_0
 
-    with the specular fraction s (``specular``, by default 0), so that the diffuse part :math:`(1 - s)(1 -
-    \epsilon)` is the body reflectance :math:`\rho` [1]_. That DIRSIG divides reflectance in this way is an
-    assumption from the name of SPECULAR_FRACTION. Emissivity has six decimals; samples outside 0 to 1 are
-    clipped and counted, with a warning.
+    and the BRDF of the coat is that of `hyperpaint.io.dirsig.dirsig_writing.fit_text`; paints without a coat
+    are matte (SPECULAR_FRACTION of 0) [1]_. Emissivity has six decimals; samples outside 0 to 1 are clipped
+    and counted, with a warning. The README lists what was checked, and what was not: DIRSIG has not run these
+    files.
 
     IDs and file names have ASCII letters, digits and underscores; names are ASCII: umlauts become two
     letters, other accents are dropped, brackets and similar signs become underscores, equal names get a
@@ -596,13 +622,13 @@ def write_dirsig(
             ),
             (
                 surface == "SimpleReflectance" and specular != 0.0,
-                "SimpleReflectance has no specular term",
+                "SimpleReflectance has no clear coat",
                 "",
-                "leave specular out, or use ClassicEmissivity",
+                "leave specular out, or surface",
                 "option-conflict",
             ),
             (
-                not (rad_solver.isascii() and rad_solver.isalnum()),
+                rad_solver is not None and not (rad_solver.isascii() and rad_solver.isalnum()),
                 f"rad_solver={rad_solver!r}",
                 "a name such as 'Classic'",
                 "",
@@ -629,7 +655,7 @@ def write_dirsig(
     problems.raise_if_any()
     paint_curves = PaintCurves(
         library,
-        specular,
+        coats_of(library, specular, roughness),
         curves=curves,
         wavelength_range=wavelength_range,
         extrapolate=extrapolate,
@@ -637,7 +663,8 @@ def write_dirsig(
         max_curves=max_curves,
     )
     records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
-    with export_folder(folder, overwrite=overwrite) as build:
+    inside = (EMISSIVITY, REFLECTANCE, *([BRDF] if paint_curves.coats.reflectance.any() else []))
+    with export_folder(folder, overwrite=overwrite, inside=inside) as build:
         write_spectra(paint_curves, build, records, progress)
         attrs = {**paint_curves.attrs, "surface": surface, "curves_of": curves}
         for name in ("title", "source", "provenance", "references", "license"):
@@ -680,7 +707,7 @@ def write_dirsig(
         "DIRSIG materials",
         {**attrs, "folder": os.fspath(folder)},
         **dict.fromkeys((*numbers, "left_out", "thinned", "bands"), np.int64),
-        **dict.fromkeys(("emissivity_file", "reflectance_file", "extrapolated"), object),
+        **dict.fromkeys(("emissivity_file", "reflectance_file", "fit_file", "extrapolated"), object),
     )
     ranges = np.array([record["wavelength"] for record in records])
     return summary.assign(range=((SIGNATURE, "end"), ranges, {"units": "nm"})).assign_coords(
@@ -698,18 +725,19 @@ def material_section(
     record: Mapping[str, Any],
     *,
     surface: str,
-    rad_solver: str,
+    rad_solver: str | None,
     thermal: Mapping[str, float] | None,
     double_sided: bool,
 ) -> Section:
     # Return the entry of one paint in a material list.
-    # ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity``,
-    # ``SimpleReflectance``, or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry
-    # solver; ``thermal``: values of `THERMAL`, None if temperature is not computed; ``double_sided``: whether
-    # the back of a facet has the paint, too.
-    name, keys = _PROPERTIES[surface]
-    items = ((key, record[item]) for key, item in keys)
-    properties = tuple((key, value if isinstance(value, str) else f"{value:g}") for key, value in items)
+    # ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity`` or
+    # ``SimpleReflectance`` of a paint without a ``fit_file``; ``rad_solver``: name of the radiometry solver,
+    # None for the solver of the surface; ``thermal``: values of `THERMAL`, None if temperature is not
+    # computed; ``double_sided``: whether the back of a facet has the paint, too.
+    surface = "ShellTarget" if record["fit_file"] else surface
+    rad_solver = rad_solver or ("Generic" if record["fit_file"] else "Classic")
+    name, keys, constants = _PROPERTIES[surface]
+    properties = (*((key, record[item]) for key, item in keys), *constants)
     values = tuple((key.upper(), f"{float(value):.6g}") for key, value in (thermal or {}).items())
     return Section(
         "MATERIAL_ENTRY",
@@ -763,10 +791,10 @@ def write_spectra(
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in paint_curves.blocks():
         for number, record in enumerate(records[paints]):
-            mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
+            coat, roughness = (float(column[paints][number]) for column in paint_curves.coats)
             try:
                 wavelength, centre, curves, items = paint_curves.of_paint(
-                    values["centre"][number], values["curves"][number], mirror
+                    values["centre"][number], values["curves"][number]
                 )
             except SchemaError as error:
                 problems.append(error.about(repr(record["paint"])).problem)
@@ -781,12 +809,15 @@ def write_spectra(
             with open(build / record["emissivity_file"], "wb") as file:
                 file.write(emissivity_head(len(curves)))
                 for start in range(0, len(curves), _CURVES_AT_ONCE):
-                    total = curves[start : start + _CURVES_AT_ONCE] / (1.0 - items["specular_fraction"])
+                    total = curves[start : start + _CURVES_AT_ONCE] + coat
                     items["clipped"] += int(((total < 0.0) | (total > 1.0)).sum())
                     file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
             items["centre_clipped"] = int(((centre < 0.0) | (centre > 1.0)).sum())
             centre = np.clip(centre, 0.0, 1.0)
             (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
+            record |= {"coat_reflectance": coat, "fit_file": f"{BRDF}/{record['id']}.fit" if coat else ""}
+            if coat:
+                (build / record["fit_file"]).write_text(fit_text(coat, roughness, wavelength, centre))
             # red, green and blue for DIRSIG's editor, with gamma; white if the visible range is not covered
             is_visible = wavelength[0] <= _RGB[2] and wavelength[-1] >= _RGB[0]
             colour = np.sqrt(np.interp(_RGB, wavelength, centre)) if is_visible else np.ones(3)
@@ -808,10 +839,10 @@ def write_spectra(
 def summary_of(
     records: Sequence[Mapping[str, Any]], title: str, attrs: Mapping[str, Any], **dtypes: Any
 ) -> xr.Dataset:
-    # Return items of the records (signature), by their dtypes, with names, IDs and specular fractions.
+    # Return items of the records (signature), by their dtypes, with names, IDs and coats.
     columns = {
         key: (SIGNATURE, np.array([record[key] for record in records], dtype))
-        for key, dtype in {**dtypes, "specular_fraction": np.float64, "id": object}.items()
+        for key, dtype in {**dtypes, "coat_reflectance": np.float64, "id": object}.items()
     }
     # with pyarrow, pandas cannot store half a surrogate pair
     names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
@@ -834,7 +865,7 @@ class _Surface(NamedTuple):
     # Material of faces: a spectrum, and a clear coat
     spectrum: str  # name
     coat_index: float  # refractive index, 0 without a coat
-    roughness: float  # 0 if it is not written
+    roughness: float
 
     @property
     def mirrored(self) -> float:
@@ -853,9 +884,8 @@ def write_dirsig_scene(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     max_curves: int = MAX_CURVES,
     wavelength_range: tuple[float, float] | None = None,
-    extrapolate: bool = False,
+    extrapolate: bool | float = False,
     gaps: str | None = None,
-    coat_brdf: bool = False,
     texture_m: float = 2.0,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -887,9 +917,6 @@ def write_dirsig_scene(
         complete curves first.
     wavelength_range, extrapolate, gaps
         As for `write_dirsig`.
-    coat_brdf
-        Write clear coats as the BRDF Shell Target, whose lobe has the colour of the light and the roughness
-        of the coat; else as SPECULAR_FRACTION, whose lobe has the colour of the body.
     texture_m
         Side of the square that a picture of a texture covers [m].
     overwrite
@@ -899,8 +926,8 @@ def write_dirsig_scene(
     -------
     Dataset
         Properties of the materials (signature): ``material_id``, ``curves``, ``complete``, ``thinned``,
-        ``specular_fraction``, ``faces``, and ``texture``, empty without a texture map. Attributes: ``name``,
-        ``features``, ``coverage_nm``.
+        ``coat_reflectance``, ``faces``, the ends ``extrapolated``, and ``texture``, empty without a texture
+        map. Attributes: ``name``, ``features``, ``coverage_nm``.
 
     Raises
     ------
@@ -912,11 +939,10 @@ def write_dirsig_scene(
 
     Notes
     -----
-    A clear coat of refractive index n becomes a SPECULAR_FRACTION F_0 / (F_0 + R), with the coat's
-    reflectance at normal incidence F_0 = ((n - 1) / (n + 1))^2 and the mean reflectance R of the body; or,
-    with ``coat_brdf``, a Shell Target with F_0 in its first term. A coat is only written if the library
-    declares its reflectance as free of mirrored light; else the coat would count twice. The README lists the
-    constructs of Shell Target that were checked.
+    A clear coat of refractive index n becomes the BRDF Shell Target, with the coat's reflectance at normal
+    incidence F_0 = ((n - 1) / (n + 1))^2 in its first term, and the roughness of the coat; its lobe has the
+    colour of the light. It is only written if the library declares its reflectance as free of mirrored light;
+    else the coat would count twice. The README lists the constructs that were checked.
 
     Examples
     --------
@@ -956,7 +982,7 @@ def write_dirsig_scene(
     problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
-    surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
+    surfaces, face_surface = _surfaces(scene, dict(repaint or {}))
     # for every library the surfaces painted from it: pairs of their index and the index of their paint
     problems = Problems("the scene cannot be painted", SchemaError)
     surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
@@ -987,7 +1013,6 @@ def write_dirsig_scene(
             surfaces_of,
             surfaces,
             options,
-            coat_brdf=coat_brdf,
             progress=progress,
         )
         records.sort(key=lambda record: record["surface"])
@@ -1024,11 +1049,7 @@ def write_dirsig_scene(
         texts = {name: TEXTS.get_template(template).render(content) for name, template in templates.items()}
         texts[f"materials/{stem}.mat"] = materials_text(
             material_section(
-                record,
-                surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
-                rad_solver="Generic" if record["fit_file"] else "Classic",
-                thermal=None,
-                double_sided=True,
+                record, surface="ClassicEmissivity", rad_solver=None, thermal=None, double_sided=True
             )
             for record in records
         )
@@ -1038,7 +1059,7 @@ def write_dirsig_scene(
         write_texts(build, texts)
     numbers = dict.fromkeys(("curves", "complete", "thinned", "faces", "interpolated"), np.int64)
     attrs = {"name": title, **attrs, "folder": os.fspath(folder)}
-    return summary_of(records, "DIRSIG scene", attrs, **numbers, texture=object)
+    return summary_of(records, "DIRSIG scene", attrs, **numbers, texture=object, extrapolated=object)
 
 
 _FOLDERS = (
@@ -1046,12 +1067,12 @@ _FOLDERS = (
     "geometry/objects",
     f"materials/{EMISSIVITY}",
     f"materials/{REFLECTANCE}",
-    "materials/brdf",
+    f"materials/{BRDF}",
     "maps",
 )
 
 
-def _surfaces(scene: Any, repaint: dict[str, str], *, with_roughness: bool) -> tuple[list[_Surface], Ints]:
+def _surfaces(scene: Any, repaint: dict[str, str]) -> tuple[list[_Surface], Ints]:
     # Distinct surfaces, and the index of the surface of every face (face,)
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
@@ -1075,7 +1096,7 @@ def _surfaces(scene: Any, repaint: dict[str, str], *, with_roughness: bool) -> t
         if material.kind == "paint":
             spectrum = repaint.get(instance.name, spectrum)
         index, roughness = (0.0, 0.0) if (coat := material.coat) is None else (coat.index, coat.roughness)
-        surface = _Surface(spectrum, float(index), float(roughness) if with_roughness else 0.0)
+        surface = _Surface(spectrum, float(index), float(roughness))
         surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
     return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
 
@@ -1087,7 +1108,6 @@ def _write_materials(
     surfaces: Sequence[_Surface],
     options: Mapping[str, Any],
     *,
-    coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:
     # Write the spectra of all surfaces; return their records, with the index of their ``surface``
@@ -1096,53 +1116,24 @@ def _write_materials(
         if not pairs:
             continue
         numbers, paints = zip(*pairs, strict=True)
-        mirrored = np.array([surfaces[number].mirrored for number in numbers])
+        # over reflectance with mirrored light a coat would count twice
         is_body = mirror_reflection(library) == EXCLUDED
-        coated = _with_coats(library.isel({SIGNATURE: list(paints)}), mirrored * is_body, as_brdf=coat_brdf)
+        coats = Coats(
+            np.array([surfaces[number].mirrored for number in numbers]) * is_body,
+            np.array([surfaces[number].roughness for number in numbers]),
+        )
+        painted = library.isel({SIGNATURE: list(paints)})
         written = [Material(record["id"], record["name"], Section("")) for record in records]
-        library_records = paint_records(coated, written)
-        curves = "members" if "member_reflectance" in coated.variables else "centre"
-        specular = "library" if _SPECULAR in coated.variables else 0.0
-        paint_curves = PaintCurves(coated, specular, curves=curves, **options)
+        library_records = paint_records(painted, written)
+        curves = "members" if "member_reflectance" in painted.variables else "centre"
+        paint_curves = PaintCurves(painted, coats, curves=curves, **options)
         write_spectra(paint_curves, build, library_records, None)
         for record, number in zip(library_records, numbers, strict=True):
-            record |= {
-                "surface": number,
-                "mirror_reflection": EXCLUDED if is_body else paint_curves.mirror_reflection,
-            }
-            record["fit_file"] = ""
-            if coat_brdf and is_body and surfaces[number].coat_index:
-                record["fit_file"] = f"brdf/{record['id']}.fit"
-                # the file contains the reflectance of body and coat together
-                micrometre, total = np.loadtxt(build / record["reflectance_file"], unpack=True)
-                surface = surfaces[number]
-                body = np.maximum(total - surface.mirrored, 0.0)
-                text = fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
-                (build / record["fit_file"]).write_text(text)
+            record |= {"surface": number, "mirror_reflection": paint_curves.mirror_reflection}
         records += library_records
         if progress is not None:
             progress(len(records), len(surfaces))
     return records
-
-
-def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    # A library with coats of reflectance ``mirrored`` (signature,) [1]: in a variable of its own, or added to
-    # the body for a BRDF
-    plain = library.drop_vars(_SPECULAR, errors="ignore")
-    if not mirrored.any():
-        return plain
-    level = xr.DataArray(mirrored.astype(np.float32), dims=SIGNATURE)
-    if not as_brdf:
-        specular = (xr.zeros_like(plain["reflectance"]) + level).assign_attrs(units="1")
-        return plain.assign({_SPECULAR: specular.transpose(*plain["reflectance"].dims)})
-    names = [name for name in ("reflectance", "member_reflectance") if name in plain.variables]
-    totals = {
-        name: (plain[name] + level).transpose(*plain[name].dims).assign_attrs(plain[name].attrs)
-        for name in names
-    }
-    for values in totals.values():
-        values.attrs["mirror_reflection"] = INCLUDED
-    return plain.assign(totals)
 
 
 def _attrs(
@@ -1152,17 +1143,12 @@ def _attrs(
     high = min(record["wavelength"][1] for record in records)
     features = [name for name, (start, end) in _FEATURES.items() if low <= start and high >= end]
     window = max(low, _WINDOW_NM[0]), min(high, _WINDOW_NM[1])
-    fractions = sum(record["specular_fraction"] > 0 for record in records)
     lobes = sum(bool(record["fit_file"]) for record in records)
     included = sum(record["mirror_reflection"] != EXCLUDED for record in records)
     advice = (
-        f"{fractions} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
+        f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves include its "
+        "reflectance\nat normal incidence."
     )
-    if lobes:
-        advice = (
-            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves include its "
-            "reflectance\nat normal incidence."
-        )
     if included:
         advice += (
             f"\nThe curves of {included} include light mirrored by a coat, or do not declare it: these "
@@ -1250,11 +1236,12 @@ def texture_picture(means: Array, name: str) -> Array | None:
     return np.asarray(level[rank * len(means) // grain.size].reshape(grain.shape))
 
 
+#: Largest distance of the wavelengths of a coat's parameters [nm].
 _FIT_STEP_NM = 20.0
 _SMOOTH_DEG = 90.0  # tau and omega of a coat with hardly any shadowing and obscuration
 
 
-def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> str:
+def fit_text(coat: float, roughness: float, wavelength: Array, body: Array) -> str:
     r"""Return the ``.fit`` file of a clear coat over a Lambert body, for DIRSIG's Shell Target BRDF.
 
     That is the Beard-Maxwell model of the NEF database [1]_, equation 10,
@@ -1264,12 +1251,14 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
     with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the reflectance of
     the body over pi, and :math:`\rho_v` = 0. DHR is the total reflectance at normal incidence. Parameters are
-    written at many wavelengths, so that the kind of interpolation between them has no influence.
+    written at many wavelengths, both ends of the range included, so that the kind of interpolation between
+    them has no influence.
 
     Parameters
     ----------
-    index, roughness
-        Refractive index of the coat, and GGX alpha of its surface; the Gaussian has the same peak.
+    coat, roughness
+        Reflectance F(0) of the coat at normal incidence [1], and GGX alpha of its surface; the Gaussian has
+        the same peak.
     wavelength, body
         Wavelengths [nm], and reflectance of the body through the coat (wavelength,) [1].
 
@@ -1280,16 +1269,16 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
     Examples
     --------
-    >>> text = fit_text(1.5, 0.05, np.array([400.0, 410.0]), np.array([0.1, 0.1]))
+    >>> text = fit_text(0.04, 0.05, np.array([400.0, 410.0]), np.array([0.1, 0.1]))
     >>> print(*text.splitlines()[:6], sep="\n")
     FIT_PARAMS {
-        LAMBDA = 0.4
+        LAMBDA = 0.4000000
         N = 1.5
         K = 0
         DHR = 0.14
         BIAS = 1.28092
     """
-    normal = ((index - 1.0) / (index + 1.0)) ** 2
+    index = (1.0 + np.sqrt(coat)) / (1.0 - np.sqrt(coat))
     sigma = max(roughness, 1e-4)
     # light from the normal is reflected at twice the facet's tilt: d omega = 2 sin(2 theta) d theta d phi
     tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
@@ -1299,18 +1288,17 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     cos_air, cos_coat = np.cos(tilt), np.sqrt(1.0 - (np.sin(tilt) / index) ** 2)
     s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
     fresnel = 0.5 * (s_wave**2 + ((index * cos_air - cos_coat) / (index * cos_air + cos_coat)) ** 2)
-    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * fresnel / normal
+    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * fresnel / coat
     flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
     number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)
     blocks = []
     for nm in np.linspace(wavelength[0], wavelength[-1], number).tolist():
         level = float(np.interp(nm, wavelength, body))
         values = {
-            "LAMBDA": nm / 1000.0,
             "N": index,
             "K": 0.0,
-            "DHR": normal + level,
-            "BIAS": normal / flux,
+            "DHR": coat + level,
+            "BIAS": coat / flux,
             "SIGMA": sigma,
             "TAU": _SMOOTH_DEG,
             "OMEGA": _SMOOTH_DEG,
@@ -1318,5 +1306,7 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
             "RHO_V": 0.0,
         }
         rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
-        blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
+        # the ends with the digits of the curves, so that rounding leaves nothing uncovered
+        at = f"{nm / 1000.0:.{WAVELENGTH_DECIMALS}f}"
+        blocks.append(f"FIT_PARAMS {{\n    LAMBDA = {at}\n{rows}}}\n")
     return "".join(blocks)

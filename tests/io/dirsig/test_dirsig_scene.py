@@ -184,21 +184,12 @@ def test_a_picture_needs_different_curves() -> None:
     assert (one != other).any()
 
 
-def test_coats_become_specular_shares_where_reflectance_is_the_bodys(tmp_path: Path) -> None:
-    paints = library(["red", "asphalt"], mirror_reflection="excluded")
-    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints)
-    share = dict(zip(summary["signature"].values, summary.specular_fraction.values, strict=True))
-    body = float(paints.reflectance.sel(signature="red").mean())
-    assert (share["red"], share["asphalt"]) == (pytest.approx(0.04 / (0.04 + body), abs=1e-4), 0.0)
-    assert not any(summary.texture.values)
-    # over mirrored light no coat is written, and no BRDF
-    for as_brdf in (False, True):
-        folder = tmp_path / f"measured {as_brdf}"
-        measured = write_dirsig_scene(boxes(), folder, library(["red", "asphalt"]), coat_brdf=as_brdf)
-        assert (measured.specular_fraction == 0.0).all()
-        assert "it would count twice" in (folder / "README.txt").read_text()
-        assert not list((folder / "materials/brdf").iterdir())
-        assert "ShellTarget" not in (folder / "materials/Two_cars_Ae.mat").read_text()
+def test_no_coat_is_written_over_mirrored_light(tmp_path: Path) -> None:
+    measured = write_dirsig_scene(boxes(), tmp_path / "out", library(["red", "asphalt"]))
+    assert (measured.coat_reflectance == 0.0).all()
+    assert "it would count twice" in (tmp_path / "out/README.txt").read_text()
+    assert not list((tmp_path / "out/materials/brdf").iterdir())
+    assert "ShellTarget" not in (tmp_path / "out/materials/Two_cars_Ae.mat").read_text()
 
 
 def blocks_of_fit(path: Path) -> list[dict[str, float]]:
@@ -228,8 +219,10 @@ def beard_maxwell(fit: dict[str, float], light: NDArray[Any], view: NDArray[Any]
 
 def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
     paints = library(["red", "asphalt"], mirror_reflection="excluded")
-    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints, coat_brdf=True)
-    assert (summary.specular_fraction == 0.0).all()
+    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints)
+    coats = dict(zip(summary["signature"].values, summary.coat_reflectance.values, strict=True))
+    assert coats == {"red": pytest.approx(0.04), "asphalt": 0.0}
+    assert not any(summary.texture.values)
     folder = tmp_path / "out/materials"
     fits = blocks_of_fit(folder / "brdf/red.fit")
     assert [path.name for path in (folder / "brdf").iterdir()] == ["red.fit"]

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.dirsig_exports import BANDS, NM, files, library, strict_ems
+from support.dirsig_exports import BANDS, NM, files, library, specular_fraction, strict_ems
 from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
@@ -53,7 +54,7 @@ def test_materials_glist_and_readme(tmp_path: Path) -> None:
     for material in materials:
         assert material.emissivity_file is not None
         assert (tmp_path / "out" / material.emissivity_file).is_file()
-        assert (material.specular_fraction, material.entry.get("DOUBLE_SIDED")) == (0.0, "TRUE")
+        assert (specular_fraction(material), material.entry.get("DOUBLE_SIDED")) == (0.0, "TRUE")
         colour = [float(part) for part in (material.entry.get("EDITOR_COLOR") or "").split(",")]
         assert len(colour) == 3
         assert all(0 <= part <= 1 for part in colour)
@@ -382,31 +383,64 @@ def test_a_coat_does_not_count_twice(attrs: dict[str, str], source: str, tmp_pat
     assert (made.attrs["mirror_reflection"], made.attrs["mirror_reflection_source"]) == ("included", source)
 
 
+def surface_of(folder: Path, token: str) -> tuple[str, str, dict[str, str]]:
+    # Return solver, surface model and its pairs of a material
+    entry = {each.id: each.entry for each in read_materials(folder / "materials.mat")}[token]
+    (properties,) = [each for each in entry.sections() if each.name == "SURFACE_PROPERTIES"]
+    (model,) = properties.sections()
+    pairs = dict(pair for pair in model.items if isinstance(pair, tuple))
+    return str(entry.get("RAD_SOLVER_NAME")), str(properties.get(f"{model.name}_NAME")), pairs
+
+
 @pytest.mark.parametrize("attrs", [{"mirror_reflection": "excluded"}, {"mirrored_sky_removed": "F0 0.04"}])
-def test_the_diffuse_part_is_the_body(attrs: dict[str, str], tmp_path: Path) -> None:
+def test_a_coat_is_a_brdf_over_the_body(attrs: dict[str, str], tmp_path: Path) -> None:
     paints = library(**attrs)
     paints["member_reflectance"] *= 0.8
     paints["member_reflectance"].attrs["units"] = "1"
-    made = hp.write_dirsig(paints, tmp_path / "out", specular=0.15)
-    assert made.specular_fraction.values.tolist() == [0.15] * 3
-    body = (1 - 0.15) * (1 - strict_ems(tmp_path / "out/emissivity/paint_1.ems")[2])
+    out = tmp_path / "out"
+    made = hp.write_dirsig(paints, out, specular=0.04, roughness=0.02)
+    assert made.coat_reflectance.values.tolist() == [0.04] * 3
+    assert made.fit_file.values.tolist() == [f"brdf/paint_{number}.fit" for number in range(3)]
+    assert surface_of(out, "paint_1") == (
+        "Generic", "ShellTarget",
+        {"EMISSIVITY_FILE": "emissivity/paint_1.ems", "BRDF_FIT_FILE": "brdf/paint_1.fit"},
+    )  # fmt: skip
+    body = 1 - strict_ems(out / "emissivity/paint_1.ems")[2] - 0.04
     np.testing.assert_allclose(body, paints.member_reflectance.values[1].astype(float), atol=6e-7)
-    assert read_materials(tmp_path / "out/materials.mat")[1].specular_fraction == 0.15
-    assert "SPECULAR_FRACTION of 0.15" in (tmp_path / "out/README.txt").read_text()
+    fit = (out / "brdf/paint_1.fit").read_text()
+    values = {
+        key: np.array(re.findall(rf"^    {key} = (\S+)$", fit, re.M), float) for key in ("DHR", "RHO_D")
+    }
+    np.testing.assert_allclose(values["DHR"] - np.pi * values["RHO_D"], 0.04, atol=2e-6)
+    wavelength, centre = np.loadtxt(out / "reflectance/paint_1.txt").T
+    lambdas = np.array(re.findall(r"^    LAMBDA = (\S+)$", fit, re.M), float)
+    np.testing.assert_allclose(np.pi * values["RHO_D"], np.interp(lambdas, wavelength, centre), atol=2e-6)
+    # both ends of the curves are covered, and nothing is far from a parameter
+    assert (lambdas[0], lambdas[-1]) == (wavelength[0], wavelength[-1])
+    assert np.diff(lambdas).max() <= 0.02
+    assert "BRDF Shell Target of 3 paints" in (out / "README.txt").read_text()
     hp.write_dirsig(paints, tmp_path / "plain")
     assert "body below the coat" in (tmp_path / "plain/README.txt").read_text()
+    assert surface_of(tmp_path / "plain", "paint_1") == (
+        "Classic", "ClassicEmissivity",
+        {"FILENAME": "emissivity/paint_1.ems", "SPECULAR_FRACTION": "0"},
+    )  # fmt: skip
+    assert not (tmp_path / "plain/brdf").exists()
 
 
 def test_a_library_with_its_coat_apart(tmp_path: Path) -> None:
     paints = library()
-    paints["specular_reflectance"] = xr.full_like(paints.reflectance, 0.04).assign_attrs(units="1")
+    coat = xr.full_like(paints.reflectance, 0.04)
+    coat[2] = 0.0  # a matte paint
+    paints["specular_reflectance"] = coat.assign_attrs(units="1")
     made = hp.write_dirsig(paints, tmp_path / "out", specular="library", gaps="interpolate")
-    body = paints.reflectance.values.astype(float).mean(axis=1)
-    np.testing.assert_allclose(made.specular_fraction, 0.04 / (0.04 + body), atol=6e-5)
-    emissivity = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[2]
-    fraction = made.specular_fraction.values[0]
-    members = paints.member_reflectance.values[0].astype(float)
-    np.testing.assert_allclose((1 - emissivity) * (1 - fraction), members, atol=1e-6)
+    np.testing.assert_allclose(made.coat_reflectance, [0.04, 0.04, 0.0], atol=1e-8)
+    assert made.fit_file.values.tolist() == ["brdf/paint_0.fit", "brdf/paint_1.fit", ""]
+    members = paints.member_reflectance.values.astype(float)
+    for number, level in enumerate((0.04, 0.04, 0.0)):
+        emissivity = strict_ems(tmp_path / f"out/emissivity/paint_{number}.ems")[2]
+        np.testing.assert_allclose(1 - emissivity - level, members[number], atol=1e-6)
+    assert surface_of(tmp_path / "out", "paint_2")[:2] == ("Classic", "ClassicEmissivity")
 
 
 @pytest.mark.parametrize(
