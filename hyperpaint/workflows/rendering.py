@@ -45,7 +45,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
-from hyperpaint.base.errors import FormatError, PaintError, Problem, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import (
+    FormatError,
+    PaintError,
+    Problem,
+    Problems,
+    SchemaError,
+    StoreError,
+    warn_user,
+)
 from hyperpaint.base.facts import (
     Fact,
     Facts,
@@ -94,6 +102,7 @@ from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Mater
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom
 from hyperpaint.simulation.rendering.relighting import (
+    HELD_NM,
     PAINT_VARIABLES,
     assigned_paints,
     by_name,
@@ -1305,6 +1314,9 @@ def export_dirsig_scene(
 ) -> xr.Dataset:
     r"""Write the scene of a ``scene.toml`` for DIRSIG.
 
+    The materials cover the bands of the file's camera, to half a width. Where they are shorter, the file's
+    ``hold_edges`` decides, as in a render: by default curves are held over up to 25 nm, with a warning.
+
     Parameters
     ----------
     scene_file
@@ -1326,7 +1338,13 @@ def export_dirsig_scene(
     Raises
     ------
     FormatError, SchemaError, StoreError
-        As `hyperpaint.render_scene` and `hyperpaint.io.dirsig.write_dirsig_scene`.
+        As `hyperpaint.render_scene` and `hyperpaint.io.dirsig.write_dirsig_scene`; a material does not cover
+        the bands of the camera.
+
+    Warns
+    -----
+    PaintWarning
+        Materials are held constant at the ends of the camera's bands.
 
     Examples
     --------
@@ -1345,7 +1363,15 @@ def export_dirsig_scene(
     if library is not None:
         repaint = painted_cars(parts.scene, list(map(str, library["signature"].values)), repaint)
     libraries += [*named_libraries(parts.spectra), _spectra_library(parts, repaint)]
-    return write_dirsig_scene(
+    bands = BandSet.of(parts.camera.imager)
+    half = 0.5 * np.broadcast_to(bands.fwhm, bands.wavelength.shape)
+    wavelengths = float((bands.wavelength - half).min()), float((bands.wavelength + half).max())
+    options = {
+        "wavelength_range": wavelengths,
+        "extrapolate": HELD_NM if file.hold_edges is None else file.hold_edges,
+        **options,
+    }
+    summary = write_dirsig_scene(
         parts.scene,
         folder,
         libraries,
@@ -1355,6 +1381,15 @@ def export_dirsig_scene(
         progress=progress,
         **options,
     )
+    held = summary["signature"].values[summary["extrapolated"].values != ""].tolist()
+    if held and options["extrapolate"] is not True:
+        low, high = options["wavelength_range"]
+        warn_user(
+            f"{len(held)} materials do not cover {low:g} to {high:g} nm, the range of the bands, and are "
+            f"held constant at its ends: {', '.join(map(str, held[:4]))}",
+            "edge-bands-held",
+        )
+    return summary
 
 
 def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:

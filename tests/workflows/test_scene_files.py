@@ -749,6 +749,9 @@ lines = 4
 columns = 4
 altitude_m = 15.0
 ground_sample_m = 0.1
+[camera]
+first_wavelength_nm = 410.0
+last_wavelength_nm = 990.0
 """
 
 
@@ -946,6 +949,34 @@ def test_a_coat_that_was_exported_is_no_part_of_the_body(tmp_path: Path) -> None
     for name in NAMES:
         for variable in ("reflectance", "member_reflectance"):
             np.testing.assert_allclose(coated[name][variable], plain[name][variable], atol=2e-6)
+
+
+def test_a_scene_covers_the_bands_of_its_camera(tmp_path: Path) -> None:
+    def written(camera: str, **options: Any) -> dict[str, tuple[float, float]]:
+        # Return the range of every file of curves and parameters, by a parser of its own
+        (tmp_path / "scene.toml").write_text(SCENE_DIRSIG.partition("[camera]")[0] + camera)
+        paints = library("roof 7").isel(band=NM < 910.0)
+        paints.reflectance.attrs["mirror_reflection"] = "excluded"
+        export_dirsig_scene(tmp_path / "scene.toml", tmp_path / "out", paints, overwrite=True, **options)
+        ranges = {}
+        for path in (tmp_path / "out/materials").glob("*/*"):
+            rows = re.findall(r"^(?:    LAMBDA = )?(\d\.\d{7})(?:\t.+)?$", path.read_text(), re.MULTILINE)
+            micrometres = np.array(rows, float)
+            ranges[f"{path.parent.name}/{path.name}"] = (micrometres.min() * 1e3, micrometres.max() * 1e3)
+        return ranges
+
+    # 890 and 910 nm are covered, with 25 nm held at the end
+    camera = "[camera]\nbands = 40\nfirst_wavelength_nm = 430.0\nlast_wavelength_nm = 900.0\nfwhm_nm = 20.0\n"
+    with pytest.warns(PaintWarning, match="edge-bands-held"):
+        ranges = written(camera)
+    assert {"emissivity/roof_7.ems", "reflectance/roof_7.txt", "brdf/roof_7.fit"} <= set(ranges)
+    for name, (low, high) in ranges.items():
+        assert low <= 420.0 + 1e-6, name
+        assert high >= 910.0 - 1e-6, name
+    far = camera.replace("900.0", "960.0")
+    expect_error(SchemaError, "measured 400 to 900 nm, expected 420 to 970 nm", lambda: written(far))
+    assert max(high for _, high in written(far + "[output]\nhold_edges = true\n").values()) >= 970.0 - 1e-6
+    assert max(high for _, high in written(far, wavelength_range=(450.0, 800.0)).values()) < 1050.0
 
 
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
