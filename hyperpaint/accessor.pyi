@@ -15,8 +15,7 @@ import pint
 import xarray as xr
 
 from hyperpaint.alignment.comparison import Window
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.schema import ArrayLike, Progress, Quality
+from hyperpaint.base import ArrayLike, Convention, Progress, Quality
 from hyperpaint.geometry.georeference.locating import Interpolation, PinholeCamera
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt

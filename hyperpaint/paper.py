@@ -40,7 +40,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from .base.facts import registry
+from .base import registry
 
 __all__ = [
     "Setup",

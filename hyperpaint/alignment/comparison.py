@@ -24,22 +24,29 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import ALIGNMENTS, Alignment
-from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
+    ALIGNMENTS,
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_WAVELENGTH,
     VARIABLES,
+    Alignment,
     Array,
     Floats,
     Ints,
+    PaintError,
+    PaintWarning,
+    Problems,
     Progress,
+    SchemaError,
+    documented,
     label,
+    one_of,
     rename_to_roles,
     require,
+    takes_quantities,
+    warn_user,
 )
 from hyperpaint.light.clear_sky import sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record

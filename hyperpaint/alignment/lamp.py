@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -27,8 +25,11 @@ from hyperpaint.base.schema import (
     Indices,
     Ints,
     Progress,
+    SchemaError,
+    documented,
     rename_to_roles,
     require,
+    takes_quantities,
 )
 from hyperpaint.light.illumination import line_light
 from hyperpaint.light.responses import (

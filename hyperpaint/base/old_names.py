@@ -6,9 +6,7 @@ from typing import ParamSpec, TypeVar
 
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-
-from .errors import warn_user
+from .errors import SchemaError, warn_user
 
 #: Dimension of a paint library: `paint` until 0.2, a name that the accessor shadows. A property of regions
 #: called `signature` becomes `paint`, which is then free.

@@ -15,25 +15,29 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import chebyshev
 
-from hyperpaint.base.constants import (
-    MAX_STRAY_LIGHT_U,
-    QUANTISATION_VARIANCE_COUNT2,
-    SATURATION_MARGIN_COUNTS,
-)
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import convert, documented, one_of, same_dimension, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
+    MAX_STRAY_LIGHT_U,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
     STEP,
     VARIABLES,
     Bools,
     Floats,
     Ints,
+    Problems,
+    SchemaError,
+    convert,
+    documented,
     dtype_of,
     label,
+    one_of,
     require,
+    same_dimension,
+    takes_quantities,
+    warn_user,
 )
 from hyperpaint.kernels.line_fits import GAUSSIAN, profiles
 from hyperpaint.light.clear_sky import ClearSky

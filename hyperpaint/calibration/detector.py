@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problem, Problems, SchemaError
-from hyperpaint.base.facts import one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     BAND,
     CROSS_TRACK,
     MONOCHROMATOR_SHAPES,
@@ -22,9 +20,14 @@ from hyperpaint.base.schema import (
     ArrayLike,
     Bools,
     Floats,
+    Problem,
+    Problems,
+    SchemaError,
     find,
     label,
+    one_of,
     require,
+    takes_quantities,
 )
 
 _ELEMENT = (BAND, CROSS_TRACK)

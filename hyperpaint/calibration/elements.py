@@ -11,9 +11,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import warn_user
-from hyperpaint.base.schema import STEP, Bools, Floats
+from hyperpaint.base import (
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
+    STEP,
+    Bools,
+    Floats,
+    warn_user,
+)
 from hyperpaint.kernels.arguments import LineSamples
 from hyperpaint.kernels.line_fits import AREA, CENTRE, WIDTH, profiles
 from hyperpaint.radiometry.stray_light import Linearity, smear_of

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ArrayLike, Bools, Floats, Ints
+from hyperpaint.base import SATURATION_MARGIN_COUNTS, ArrayLike, Bools, Floats, Ints, SchemaError
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
     AREA,

@@ -16,7 +16,7 @@ import xarray as xr
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
-from hyperpaint.base.schema import flags_named
+from hyperpaint.base import flags_named
 from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.spectrometers.asd import sniff
 from hyperpaint.io.store.raw_references import outside, virtual_groups
@@ -240,7 +240,7 @@ def check(ctx: click.Context, /, collect: Path, as_json: bool, **_options: Any) 
     results wrong, and warn of others; --accept FINDING accepts a finding. Exit status 1 if there are
     findings.
     """
-    judged = workflows.collect_check.check_collect(collect, passed=True)
+    judged = workflows.collects.check_collect(collect, passed=True)
     findings = [finding for finding in judged if not finding.passes]
     if as_json:
         rows: dict[str, list[dict[str, str]]] = {"findings": [], "passed": []}

@@ -12,9 +12,16 @@ import numpy as np
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
-from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
-from hyperpaint.base.input_files import VECTOR_FILES, head_of, input_path
-from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.base import (
+    ALONG_TRACK,
+    VECTOR_FILES,
+    CollectError,
+    FormatError,
+    IncompleteStoreError,
+    StoreError,
+    head_of,
+    input_path,
+)
 from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.raw_references import (

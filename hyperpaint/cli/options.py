@@ -127,9 +127,14 @@ def _defining_module(module: str, name: str) -> tuple[str, str]:
                 if name == (alias.asname or alias.name):
                     assert isinstance(statement, ast.ImportFrom)
                     parents = module.split(".")[: -statement.level] if statement.level else []
-                    return ".".join(
-                        [*parents, (statement.module or "").removeprefix("hyperpaint.")]
-                    ), alias.name
+                    home = ".".join([*parents, (statement.module or "").removeprefix("hyperpaint.")])
+                    # a room's door hands on the names of its modules
+                    for path in sorted(_PACKAGE.joinpath(*home.split(".")).glob("*.py")):
+                        if re.search(
+                            rf"^(class |def )?{alias.name}\b", path.read_text(encoding="utf-8"), re.M
+                        ):
+                            return f"{home}.{path.stem}", alias.name
+                    return home, alias.name
     return module, name
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from hyperpaint import __version__
-from hyperpaint.base.errors import PaintError, PaintWarning
+from hyperpaint.base import PaintError, PaintWarning
 
 from .options import SIGNALLED, WRONG_INPUT, Command, is_watched, suggestion, unknown_option
 

@@ -20,25 +20,28 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.constants import (
-    MID_EXPOSURE_OFFSETS,
-    WGS84_ECCENTRICITY_SQUARED,
-    WGS84_SEMI_MAJOR_AXIS_M,
-)
-from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError, UnitsError
-from hyperpaint.base.facts import conversion_factor, documented, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    MID_EXPOSURE_OFFSETS,
+    WGS84_ECCENTRICITY_SQUARED,
+    WGS84_SEMI_MAJOR_AXIS_M,
     Array,
     Bools,
+    Convention,
     Floats,
     Floats32,
+    MissingExtraError,
+    SchemaError,
+    TimeError,
+    UnitsError,
+    conversion_factor,
+    documented,
     require,
+    takes_quantities,
 )
 from hyperpaint.geometry.georeference.locating import (
     ANGLES,

@@ -12,9 +12,15 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.facts import conversion_factor, takes_quantities
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import (
+    Floats,
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+    conversion_factor,
+    takes_quantities,
+)
 from hyperpaint.io.files.reading import number, numbers, read_limited_text, refuse
 
 # Largest file of a sky model [byte].

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from hyperpaint.base.schema import Array
+from hyperpaint.base import Array
 
 Group = TypeVar("Group", bound=tuple[Any, ...])
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import kernel
-from hyperpaint.base.schema import Array
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 

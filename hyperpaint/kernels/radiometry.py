@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
-from hyperpaint.base.schema import Array
 
 from .arguments import (
     Calibration,

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
-from hyperpaint.base.schema import Array
 
 from .arguments import BLOCK, InverseTile, LineFrames, LinePositions, LineRays, MapCells, Places, Raster
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import kernel
-from hyperpaint.base.schema import Array
 
 
 @kernel

@@ -22,12 +22,23 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import PaintError, SchemaError, StoreError, needs_extra
-from hyperpaint.base.facts import documented
-from hyperpaint.base.input_files import is_plain_file
-from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Floats, Quality, rename_to_roles
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    Array,
+    Floats,
+    PaintError,
+    Quality,
+    SchemaError,
+    StoreError,
+    documented,
+    is_plain_file,
+    needs_extra,
+    rename_to_roles,
+    renamed,
+    schema,
+)
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store

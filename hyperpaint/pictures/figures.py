@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError, needs_extra
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Array, numbers_of
+from hyperpaint.base import ALONG_TRACK, CROSS_TRACK, Array, SchemaError, needs_extra, numbers_of
 from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60

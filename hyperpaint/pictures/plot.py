@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problem, Problems, SchemaError
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -24,14 +22,20 @@ from hyperpaint.base.schema import (
     STEP,
     VARIABLES,
     Array,
+    Problem,
+    Problems,
     Quality,
+    SchemaError,
+    documented,
     find,
     flag_names,
     flag_shares,
     flags_named,
     numbers_of,
+    one_of,
     rename_to_roles,
     require,
+    takes_quantities,
 )
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -24,8 +21,12 @@ from hyperpaint.base.schema import (
     Array,
     Bools,
     Quality,
+    SchemaError,
+    documented,
     rename_to_roles,
     require,
+    schema,
+    takes_quantities,
 )
 from hyperpaint.light.daylight_colours import srgb
 from hyperpaint.paints.paint_libraries import paint_colours

@@ -14,9 +14,19 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
-from hyperpaint.base.errors import PaintWarning, Problem
-from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Ints
+from hyperpaint.base import (
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    SATURATION_MARGIN_COUNTS,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    PaintWarning,
+    Problem,
+    lines_a_task,
+)
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
 from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInputs, Timing
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index

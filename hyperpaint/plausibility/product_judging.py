@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.schema import Bools, Floats
+from hyperpaint.base import Bools, Floats
 
 
 @dataclass(frozen=True)

@@ -23,21 +23,24 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     CUBE,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
     Bools,
     Floats,
+    Problems,
+    SchemaError,
     dtype_of,
     flags_set_from,
     label,
     rename_to_roles,
     require,
+    takes_quantities,
+    warn_user,
 )
 from hyperpaint.io.flightline.calibration_store import saturation_of
 from hyperpaint.io.flightline.flightline_opening import (

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.errors import SchemaError, TimeError, warn_user
-from hyperpaint.base.schema import Array, Floats
+from hyperpaint.base import Array, Floats, SchemaError, TimeError, warn_user
 
 #: Relative difference of exposure times up to which a dark is valid for a line.
 SAME_EXPOSURE_SHARE = 0.01

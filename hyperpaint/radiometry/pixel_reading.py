@@ -12,9 +12,7 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -25,12 +23,15 @@ from hyperpaint.base.schema import (
     VARIABLES,
     Array,
     ArrayLike,
+    SchemaError,
+    documented,
     has_own_means,
     label,
     rename_to_roles,
     require,
     round_bits,
     stamp_means,
+    takes_quantities,
 )
 from hyperpaint.io.store.computing import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs

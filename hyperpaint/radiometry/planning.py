@@ -18,29 +18,30 @@ import numpy as np
 import xarray as xr
 from dask.delayed import Delayed
 
-from hyperpaint.base.constants import (
-    DULL_MEDIAN,
-    HIGHEST_MEDIAN,
-    LOWEST_MEDIAN,
-    QUANTISATION_VARIANCE_COUNT2,
-    SATURATION_MARGIN_COUNTS,
-    brightest_median,
-    unit_slip,
-)
-from hyperpaint.base.errors import Problems, SchemaError, TimeError, warn_user
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
+    DULL_MEDIAN,
+    HIGHEST_MEDIAN,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    LOWEST_MEDIAN,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
     SRF_SHAPES,
     Array,
     Floats,
+    Problems,
     Quality,
+    SchemaError,
+    TimeError,
+    brightest_median,
+    one_of,
     require,
+    unit_slip,
     warn_of_lost_calibration,
+    warn_user,
 )
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from hyperpaint.light.clear_sky import ClearSky, sunward_gain

@@ -15,10 +15,19 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import lines_a_task
-from hyperpaint.base.errors import SchemaError, warn_user
+from hyperpaint.base import (
+    CHUNK_LINES,
+    CUBE,
+    Array,
+    Floats,
+    Ints,
+    Quality,
+    SchemaError,
+    Times,
+    lines_a_task,
+    warn_user,
+)
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, Array, Floats, Ints, Quality, Times
 from hyperpaint.kernels.arguments import (
     Calibration,
     DetectorModel,

@@ -11,20 +11,23 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import convert, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     BAND,
     CROSS_TRACK,
     CUBE,
     VARIABLES,
     Array,
     ArrayLike,
+    Problems,
+    SchemaError,
+    convert,
     has_own_means,
     label,
+    one_of,
     rename_to_roles,
     require,
     stamp_means,
+    takes_quantities,
     warn_of_lost_calibration,
 )
 from hyperpaint.light.responses import band_spacing, spectral_parts

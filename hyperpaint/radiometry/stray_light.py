@@ -19,9 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import Array, Floats, Ints, require
+from hyperpaint.base import Array, Floats, Ints, Problems, SchemaError, one_of, require, warn_user
 from hyperpaint.kernels.arguments import DetectorModel, StrayLight, StrayTerms
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"

@@ -35,11 +35,27 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
-from hyperpaint.base.facts import documented, is_number, one_of
-from hyperpaint.base.input_files import VECTOR_FILES, is_plain_file, open_input, read_limited
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Bools, Floats, Ints, numbers_of
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CROSS_TRACK,
+    VECTOR_FILES,
+    Bools,
+    Floats,
+    FormatError,
+    Ints,
+    MissingExtraError,
+    PaintError,
+    Problems,
+    SchemaError,
+    documented,
+    is_number,
+    is_plain_file,
+    numbers_of,
+    one_of,
+    open_input,
+    read_limited,
+    schema,
+)
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.locating import POSE, locate
 from hyperpaint.io.files.publishing import publish_file

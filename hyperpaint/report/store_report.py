@@ -27,23 +27,29 @@ from urllib.parse import urlsplit
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.constants import KEPT_BITS
-from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, StoreError, warn_user
-from hyperpaint.base.facts import documented
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.old_names import renamed, with_new_names
-from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
+    KEPT_BITS,
     SIGNATURE,
     Array,
+    FormatError,
+    PaintError,
+    PaintWarning,
     Progress,
     Quality,
+    SchemaError,
+    StoreError,
+    documented,
     numbers_of,
+    part_of,
+    read_limited,
     rename_to_roles,
+    renamed,
+    schema,
+    warn_user,
+    with_new_names,
 )
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file, published_folder

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, schema
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.light.daylight_colours import srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of

@@ -40,9 +40,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import Floats, Problems, SchemaError, one_of
 
 from .atmosphere import spectral_grid
 from .settings import SHAPES, OpticsSettings, SimulationSettings, finite_floats

@@ -24,10 +24,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from hyperpaint.base.errors import FormatError, SchemaError, StoreError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.input_files import head_of, input_path, read_limited
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     CHUNK_LINES,
     CUBE,
     FORMAT_VERSION,
@@ -35,8 +32,15 @@ from hyperpaint.base.schema import (
     SWEEP_VARIABLES,
     TIME_UNITS,
     VARIABLES,
+    FormatError,
     Progress,
+    SchemaError,
+    StoreError,
     Variable,
+    documented,
+    head_of,
+    input_path,
+    read_limited,
 )
 
 from .atmosphere import spectral_grid

@@ -32,8 +32,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import Floats, Floats32
+from hyperpaint.base import Floats, Floats32, SchemaError
 
 from .atmosphere import (
     CIE_OVERCAST_SHARE,

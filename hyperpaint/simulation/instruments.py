@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import Floats
 
 from .settings import SimulationSettings
 

@@ -12,9 +12,18 @@ from typing import Any, Self
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Spelling, as_argument, check_fields, declared, fact, is_number
-from hyperpaint.base.schema import Array, Floats
+from hyperpaint.base import (
+    Array,
+    Floats,
+    Problems,
+    SchemaError,
+    Spelling,
+    as_argument,
+    check_fields,
+    declared,
+    fact,
+    is_number,
+)
 
 #: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")

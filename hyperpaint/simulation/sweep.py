@@ -18,9 +18,16 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import check_fields, declared, fact
-from hyperpaint.base.schema import MONOCHROMATOR_SHAPES, Floats, Floats32
+from hyperpaint.base import (
+    MONOCHROMATOR_SHAPES,
+    Floats,
+    Floats32,
+    Problems,
+    SchemaError,
+    check_fields,
+    declared,
+    fact,
+)
 
 from .camera import GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import CAMERA_FIELDS, SimulationSettings

@@ -24,18 +24,30 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
-from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
-from hyperpaint.base.mirrored_light import (
+from hyperpaint.base import (
+    BAND,
     BODY,
     EXCLUDED,
     FLAKE_PAINTS,
     INCLUDED,
+    LIBRARY_VARIABLES,
     OUTSIDE,
+    SIGNATURE,
     THROUGH_COAT,
+    Floats,
+    Problem,
+    Problems,
+    SchemaError,
+    UnitsError,
+    convert,
+    documented,
+    find,
     mirror_reflection,
+    one_of,
+    require,
+    takes_quantities,
+    warn_user,
 )
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Floats, find, require
 from hyperpaint.light.coat_transmission import (
     COAT_INDEX,
     COAT_INDEX_U,

@@ -10,7 +10,7 @@ from typing import Any
 
 import xarray as xr
 
-from hyperpaint.base.errors import CollectError, PaintWarning, warn_user
+from hyperpaint.base import CollectError, PaintWarning, warn_user
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import OpenedCollect, read_collect
 from hyperpaint.io.spectrometers.record_faults import RECORD

@@ -9,10 +9,17 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import CollectError, FormatError, SchemaError
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import CROSS_TRACK, Floats, label
+from hyperpaint.base import (
+    CROSS_TRACK,
+    CollectError,
+    Convention,
+    Floats,
+    FormatError,
+    SchemaError,
+    documented,
+    label,
+    one_of,
+)
 from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect, WhiteEntry, open_with_settings
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text

@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import MissingExtraError, StoreError
-from hyperpaint.base.input_files import head_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, flags_set_from
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    MissingExtraError,
+    StoreError,
+    flags_set_from,
+    head_of,
+)
 from hyperpaint.io.spectrometers.svc import open_svc
 from hyperpaint.paints.signatures.extraction import EXCLUDED, extract_signatures
 from hyperpaint.regions.polygons import read_regions

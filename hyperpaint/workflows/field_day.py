@@ -10,10 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base.constants import Alignment
-from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.progress_reports import part_of
+from hyperpaint.base import Alignment, CollectError, PaintError, Problems, SchemaError, one_of, part_of
 from hyperpaint.geometry.orthorectification.mapping import describe_swath
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
 from hyperpaint.io.dirsig import write_dirsig

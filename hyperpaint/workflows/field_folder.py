@@ -20,10 +20,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems, StoreError
-from hyperpaint.base.facts import documented, key_line, toml_text
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import CROSS_TRACK
+from hyperpaint.base import (
+    CROSS_TRACK,
+    CollectError,
+    FormatError,
+    PaintError,
+    PaintWarning,
+    Problems,
+    StoreError,
+    documented,
+    key_line,
+    read_limited,
+    toml_text,
+)
 from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file

@@ -19,9 +19,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
-from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CROSS_TRACK,
+    PaintError,
+    Problems,
+    SchemaError,
+    StoreError,
+    flags_named,
+    part_of,
+)
 from hyperpaint.geometry import locate
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.reading import safe_cell

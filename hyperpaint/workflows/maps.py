@@ -10,8 +10,7 @@ from typing import Any, Literal
 
 import xarray as xr
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base import Convention, SchemaError
 from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify

@@ -41,8 +41,15 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.alignment import align
-from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUMERICS_VERSION, Alignment
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    ALIGNMENTS,
+    ALONG_TRACK,
+    CHUNK_LINES,
+    DEFAULT_CODEC,
+    FORMAT_VERSION,
+    KEPT_BITS,
+    NUMERICS_VERSION,
+    Alignment,
     CollectError,
     FormatError,
     PaintError,
@@ -50,12 +57,14 @@ from hyperpaint.base.errors import (
     Problems,
     SchemaError,
     StoreError,
+    documented,
+    flag_shares,
+    flags_set_from,
     needs_extra,
+    one_of,
+    read_limited,
     warn_user,
 )
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares, flags_set_from
 from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
 from hyperpaint.io.envi.envi_cubes import (
     FILE_DIMS,

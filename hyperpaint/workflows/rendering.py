@@ -44,20 +44,27 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    CHUNK_LINES,
+    CUBE,
+    EXCLUDED,
+    FORMAT_VERSION,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    KEPT_BITS,
+    NUMERICS_VERSION,
+    VARIABLES,
+    Fact,
+    Facts,
+    Floats,
+    Floats32,
     FormatError,
     PaintError,
     Problem,
     Problems,
     SchemaError,
-    StoreError,
-    warn_user,
-)
-from hyperpaint.base.facts import (
-    Fact,
-    Facts,
     Spelling,
+    StoreError,
     arguments_of,
     as_argument,
     by_key,
@@ -65,21 +72,13 @@ from hyperpaint.base.facts import (
     fact,
     facts_of,
     filled,
-    shown,
-)
-from hyperpaint.base.input_files import input_path, open_input, read_limited
-from hyperpaint.base.mirrored_light import EXCLUDED
-from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import (
-    CHUNK_LINES,
-    CUBE,
-    FORMAT_VERSION,
-    IRRADIANCE_TIME,
-    IRRADIANCE_WAVELENGTH,
-    VARIABLES,
-    Floats,
-    Floats32,
+    input_path,
+    open_input,
+    read_limited,
+    renamed,
     round_bits,
+    shown,
+    warn_user,
 )
 from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.dirsig.dirsig_files import read_materials

@@ -6,9 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
-from hyperpaint.base.errors import SchemaError, needs_extra
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import (
+    WGS84_ECCENTRICITY_SQUARED,
+    WGS84_SEMI_MAJOR_AXIS_M,
+    Floats,
+    SchemaError,
+    needs_extra,
+)
 
 GEODETIC = "EPSG:4979"  # latitude, longitude, height above the ellipsoid of WGS 84
 _GEOCENTRIC = "EPSG:4978"

@@ -22,22 +22,34 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.attitude_conventions import Convention, wrapped
-from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M, lines_a_task
-from hyperpaint.base.errors import Problems, SchemaError, TimeError, UnitsError, needs_extra, warn_user
-from hyperpaint.base.facts import conversion_factor, convert, documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
+    WGS84_ECCENTRICITY_SQUARED,
+    WGS84_SEMI_MAJOR_AXIS_M,
     Array,
     Bools,
+    Convention,
     Floats,
     Ints,
+    Problems,
     Quality,
+    SchemaError,
+    TimeError,
+    UnitsError,
+    conversion_factor,
+    convert,
+    documented,
     label,
+    lines_a_task,
+    needs_extra,
+    one_of,
     require,
+    takes_quantities,
+    warn_user,
+    wrapped,
 )
 from hyperpaint.io.files.reading import numbers
 from hyperpaint.io.maps.map_grids import cut_at_dateline

@@ -21,9 +21,7 @@ import xarray as xr
 from dask._task_spec import convert_legacy_graph, cull
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -32,8 +30,14 @@ from hyperpaint.base.schema import (
     Bools,
     Floats,
     Ints,
+    Problems,
     Progress,
     Quality,
+    SchemaError,
+    documented,
+    needs_extra,
+    one_of,
+    takes_quantities,
 )
 from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, locate
 from hyperpaint.geometry.orthorectification.mapping import (

@@ -21,9 +21,7 @@ from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -33,12 +31,18 @@ from hyperpaint.base.schema import (
     Bools,
     Floats,
     Ints,
+    Problems,
     Progress,
     Quality,
+    SchemaError,
+    documented,
     dtype_of,
     label,
     numbers_of,
+    one_of,
     require,
+    takes_quantities,
+    warn_user,
 )
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, line_slabs, locate

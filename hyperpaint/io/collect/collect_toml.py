@@ -12,10 +12,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.constants import ALIGNMENTS, PANEL_SURFACES, Alignment
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    ALIGNMENTS,
+    ALONG_TRACK,
+    IRRADIANCE_TIME,
+    PANEL_SURFACES,
+    Alignment,
     CollectError,
+    Convention,
+    Fact,
+    Facts,
     Findings,
     FormatError,
     PaintError,
@@ -23,10 +29,12 @@ from hyperpaint.base.errors import (
     Problems,
     TimeError,
     Unavailable,
+    by_key,
+    facts_of,
+    is_number,
     warn_user,
+    with_numbers,
 )
-from hyperpaint.base.facts import Fact, Facts, by_key, facts_of, is_number
-from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.files.reading import is_pattern
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values

@@ -16,9 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import BAND
+from hyperpaint.base import BAND, SchemaError, documented, one_of, takes_quantities
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.maps.map_grids import (
     RGB_WAVELENGTHS,

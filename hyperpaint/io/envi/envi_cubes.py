@@ -35,10 +35,7 @@ import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, warn_user
-from hyperpaint.base.facts import one_of, same_dimension
-from hyperpaint.base.input_files import input_path, is_plain_file, open_input
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -48,7 +45,17 @@ from hyperpaint.base.schema import (
     Array,
     Bools,
     Floats,
+    FormatError,
     Ints,
+    Problem,
+    Problems,
+    input_path,
+    is_plain_file,
+    needs_extra,
+    one_of,
+    open_input,
+    same_dimension,
+    warn_user,
 )
 from hyperpaint.io.files.reading import decoded_text, foreign_format, refuse
 

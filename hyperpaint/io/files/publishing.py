@@ -33,8 +33,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hyperpaint.base.errors import PaintError, Problem, Problems, StoreError
-from hyperpaint.base.input_files import is_plain_file
+from hyperpaint.base import PaintError, Problem, Problems, StoreError, is_plain_file
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import flush_group
 from hyperpaint.io.store.manifest import sync

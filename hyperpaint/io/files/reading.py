@@ -20,8 +20,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, PaintError, Problem
-from hyperpaint.base.input_files import head_of, input_path, is_plain_file, open_input, read_limited
+from hyperpaint.base import (
+    FormatError,
+    PaintError,
+    Problem,
+    head_of,
+    input_path,
+    is_plain_file,
+    open_input,
+    read_limited,
+)
 
 # Longest text line [byte]: tables of spectra have about 12 bytes per cell.
 MAX_LINE_BYTES = 2**20

@@ -9,9 +9,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.facts import Facts, shown
-from hyperpaint.base.input_files import read_limited
+from hyperpaint.base import Facts, FormatError, Problems, read_limited, shown
 
 from .reading import is_pattern, matching_files
 

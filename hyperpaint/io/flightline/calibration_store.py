@@ -15,31 +15,31 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
-from hyperpaint.base.errors import (
-    FormatError,
-    PaintError,
-    Problem,
-    Problems,
-    SchemaError,
-    UnitsError,
-    warn_user,
-)
-from hyperpaint.base.facts import conversion_factor, convert, one_of
-from hyperpaint.base.input_files import input_path
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
+    MAX_STRAY_LIGHT_U,
     SRF_SHAPES,
     STEP,
     SWEEP_VARIABLES,
     VARIABLES,
     Array,
     Floats,
+    FormatError,
+    PaintError,
+    Problem,
+    Problems,
+    SchemaError,
+    UnitsError,
+    conversion_factor,
+    convert,
     dtype_of,
+    input_path,
     label,
+    one_of,
+    warn_user,
 )
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import load_netcdf, number, read_limited_text

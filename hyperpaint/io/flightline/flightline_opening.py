@@ -19,9 +19,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS, QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    MID_EXPOSURE_OFFSETS,
+    QUANTISATION_VARIANCE_COUNT2,
+    VARIABLES,
+    Convention,
     Findings,
     FormatError,
     PaintError,
@@ -30,20 +37,16 @@ from hyperpaint.base.errors import (
     SchemaError,
     TimeError,
     Unavailable,
-    warn_user,
-)
-from hyperpaint.base.facts import conversion_factor, convert, documented, one_of, takes_quantities
-from hyperpaint.base.schema import (
-    ALONG_TRACK,
-    BAND,
-    CHUNK_LINES,
-    CROSS_TRACK,
-    CUBE,
-    VARIABLES,
+    conversion_factor,
+    convert,
+    documented,
     dtype_of,
     label,
+    one_of,
     rename_to_roles,
     require,
+    takes_quantities,
+    warn_user,
     with_calibration_names,
     with_numbers,
 )

@@ -16,17 +16,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CHUNK_LINES,
+    CUBE,
     FormatError,
     Problem,
     Problems,
     SchemaError,
     TimeError,
     UnitsError,
+    conversion_factor,
     warn_user,
 )
-from hyperpaint.base.facts import conversion_factor
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.io.files.reading import Table, name_rows, read_table, read_text, refuse, to_integers
 
 _MAX_FRAME = 1 << 40

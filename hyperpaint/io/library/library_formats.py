@@ -18,20 +18,32 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
-from hyperpaint.base.input_files import head_of
-from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
-from hyperpaint.base.old_names import VERSION_NAME, with_new_names
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     BAND,
+    BODY,
+    EXCLUDED,
+    INCLUDED,
     LIBRARY_VARIABLES,
+    OUTSIDE,
     SIGNATURE,
+    THROUGH_COAT,
+    VERSION_NAME,
     Array,
     Bools,
     Floats,
+    FormatError,
+    Problem,
+    Problems,
     Progress,
+    SchemaError,
+    StoreError,
+    documented,
+    head_of,
+    is_number,
+    one_of,
+    takes_quantities,
     with_integer_dtypes,
+    with_new_names,
 )
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import (

@@ -46,22 +46,30 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra, warn_user
-from hyperpaint.base.input_files import open_input, read_limited
-from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     BAND,
     LIBRARY_VARIABLES,
     MEMBER,
+    NEW_NAMES,
     SIGNATURE,
+    VERSION_NAME,
     Array,
     Bools,
     Floats,
     Floats32,
+    FormatError,
     Ints,
+    Problem,
+    Problems,
     Progress,
+    SchemaError,
     find,
+    needs_extra,
+    open_input,
     quality_attrs,
+    read_limited,
+    warn_of_old_names,
+    warn_user,
 )
 from hyperpaint.io.envi.envi_cubes import (
     MAX_LIBRARY_HEADER_BYTES,

@@ -30,10 +30,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra
-from hyperpaint.base.facts import documented, takes_quantities
-from hyperpaint.base.input_files import head_of, open_input
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    VARIABLES,
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+    documented,
+    head_of,
+    needs_extra,
+    open_input,
+    takes_quantities,
+)
 from hyperpaint.io.files.publishing import published_files, unwritable
 from hyperpaint.io.files.reading import number
 from hyperpaint.io.store.computing import in_stages

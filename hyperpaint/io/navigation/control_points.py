@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problems, needs_extra
-from hyperpaint.base.facts import documented, is_unit, same_dimension
+from hyperpaint.base import FormatError, Problems, documented, is_unit, needs_extra, same_dimension
 from hyperpaint.io.files.reading import name_rows, read_limited_text, table_of
 
 from .navigation_records import limited_numbers

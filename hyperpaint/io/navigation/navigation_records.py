@@ -46,8 +46,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    Convention,
     Findings,
     FormatError,
     Problem,
@@ -55,10 +55,15 @@ from hyperpaint.base.errors import (
     SchemaError,
     TimeError,
     UnitsError,
+    conversion_factor,
+    input_path,
+    is_number,
+    is_plain_file,
+    one_of,
+    open_input,
+    takes_quantities,
     warn_user,
 )
-from hyperpaint.base.facts import conversion_factor, is_number, one_of, takes_quantities
-from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import (
     MAX_TABLE_ROWS,

@@ -26,10 +26,20 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError, warn_user
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.input_files import head_of, read_limited
-from hyperpaint.base.schema import VARIABLES, Bools, Floats, label
+from hyperpaint.base import (
+    VARIABLES,
+    Bools,
+    Floats,
+    FormatError,
+    Problem,
+    SchemaError,
+    TimeError,
+    head_of,
+    label,
+    one_of,
+    read_limited,
+    warn_user,
+)
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 
 from .record_faults import clipped_top

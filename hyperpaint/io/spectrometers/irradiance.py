@@ -12,35 +12,35 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import (
+from hyperpaint.base import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
     LOWEST_MEDIAN,
     MID_EXPOSURE_OFFSETS,
-    brightest_median,
-    unit_slip,
-)
-from hyperpaint.base.errors import (
+    VARIABLES,
+    Bools,
+    Floats,
     FormatError,
     IncompleteStoreError,
     Problem,
     Problems,
     SchemaError,
     TimeError,
-    UnitsError,
-    warn_user,
-)
-from hyperpaint.base.facts import conversion_factor, convert, is_number, one_of, takes_quantities
-from hyperpaint.base.input_files import input_path
-from hyperpaint.base.schema import (
-    IRRADIANCE_TIME,
-    IRRADIANCE_WAVELENGTH,
-    VARIABLES,
-    Bools,
-    Floats,
     Times,
+    UnitsError,
+    brightest_median,
+    conversion_factor,
+    convert,
+    input_path,
+    is_number,
     label,
+    one_of,
     require,
+    takes_quantities,
+    unit_slip,
+    warn_user,
 )
 from hyperpaint.io.files.reading import (
     load_netcdf,

@@ -8,9 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.constants import JUDGED_NM
-from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
-from hyperpaint.base.schema import Array, Bools, Floats, Indices
+from hyperpaint.base import (
+    JUDGED_NM,
+    Array,
+    Bools,
+    Floats,
+    Indices,
+    Problem,
+    Problems,
+    SchemaError,
+    warn_user,
+)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, PaintError, Problem, Problems
+from hyperpaint.base import FormatError, PaintError, Problem, Problems
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store

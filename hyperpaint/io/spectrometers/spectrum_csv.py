@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems
-from hyperpaint.base.facts import conversion_factor, is_unit
-from hyperpaint.base.schema import VARIABLES, Floats
+from hyperpaint.base import VARIABLES, Floats, FormatError, Problem, Problems, conversion_factor, is_unit
 from hyperpaint.io.files.reading import (
     TABLE_DIALECTS,
     first_row,

@@ -12,8 +12,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError, warn_user
-from hyperpaint.base.input_files import input_path
+from hyperpaint.base import FormatError, Problem, Problems, TimeError, input_path, warn_user
 from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files, unique_names
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")

@@ -14,9 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, Problem, UnitsError
-from hyperpaint.base.facts import conversion_factor
-from hyperpaint.base.schema import VARIABLES, Floats
+from hyperpaint.base import VARIABLES, Floats, FormatError, Problem, UnitsError, conversion_factor
 from hyperpaint.io.files.reading import first_row, read_limited_text, refuse, row_numbers
 
 from .spectrum_files import ratio, text_lines

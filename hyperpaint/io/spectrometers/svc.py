@@ -21,9 +21,18 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import VARIABLES, Bools, Floats, Ints, label
+from hyperpaint.base import (
+    VARIABLES,
+    Bools,
+    Floats,
+    FormatError,
+    Ints,
+    Problem,
+    Problems,
+    SchemaError,
+    label,
+    one_of,
+)
 from hyperpaint.io.files.reading import read_limited_text, refuse
 
 from .spectrum_files import (

@@ -24,8 +24,16 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError, StoreError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    Problems,
+    SchemaError,
+    StoreError,
+)
 
 # Memory that kernels, codecs and the writer add to a process with an open collect [byte].
 RUNNING = 100 * 10**6

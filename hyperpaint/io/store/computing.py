@@ -42,9 +42,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import PaintError, StoreError
-from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.base import ALONG_TRACK, DEFAULT_CODEC, PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
 from .layout import Codec, chunks_of, encode_chunk, fill_value

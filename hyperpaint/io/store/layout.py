@@ -18,10 +18,18 @@ from typing import Any, Literal, get_args
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import Problems, StoreError
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    DEFAULT_CODEC,
+    TIME_UNITS,
+    Problems,
+    StoreError,
+    documented,
+    one_of,
+)
 
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128

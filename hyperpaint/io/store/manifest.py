@@ -31,9 +31,14 @@ from pathlib import Path
 from shlex import join, split
 from typing import Any, NamedTuple
 
-from hyperpaint.base.constants import NUMERICS_VERSION
-from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, Problem, StoreError
-from hyperpaint.base.schema import FORMAT_VERSION
+from hyperpaint.base import (
+    FORMAT_VERSION,
+    NUMERICS_VERSION,
+    IncompleteStoreError,
+    MissingExtraError,
+    Problem,
+    StoreError,
+)
 
 from .budget import counted
 

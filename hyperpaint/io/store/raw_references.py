@@ -32,17 +32,18 @@ from urllib.parse import quote, unquote
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    Array,
     FormatError,
     IncompleteStoreError,
     PaintError,
     Problems,
     StoreError,
+    documented,
+    head_of,
     needs_extra,
+    read_limited,
 )
-from hyperpaint.base.facts import documented
-from hyperpaint.base.input_files import head_of, read_limited
-from hyperpaint.base.schema import Array
 
 from .layout import encoding, prepare
 from .manifest import INPUTS, clean_group

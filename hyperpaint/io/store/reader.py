@@ -26,9 +26,18 @@ from typing import Any, overload
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError, warn_user
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION, stamp_means
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    FORMAT_VERSION,
+    IncompleteStoreError,
+    Problems,
+    StoreError,
+    documented,
+    stamp_means,
+    warn_user,
+)
 
 from .budget import counted
 from .computing import whole_chunk

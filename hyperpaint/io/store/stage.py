@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote
 
-from hyperpaint.base.errors import StoreError
-from hyperpaint.base.input_files import head_of
+from hyperpaint.base import StoreError, head_of
 
 from .computing import exchange
 from .manifest import MANIFEST_NODE, TEMPORARY, clean_group, sync

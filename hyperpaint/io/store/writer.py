@@ -19,10 +19,18 @@ from typing import Any, get_args
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import IncompleteStoreError, Problem, Problems, StoreError
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
+from hyperpaint.base import (
+    DEFAULT_CODEC,
+    FORMAT_VERSION,
+    IncompleteStoreError,
+    Problem,
+    Problems,
+    StoreError,
+    documented,
+    has_own_means,
+    one_of,
+    takes_quantities,
+)
 
 from . import computing, layout
 from .budget import check_memory, limited_threads, thread_space

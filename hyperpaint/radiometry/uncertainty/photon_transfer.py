@@ -15,23 +15,27 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
     STEP,
     SWEEP_VARIABLES,
     Array,
     Bools,
     Floats,
     Ints,
+    Problem,
+    Problems,
+    SchemaError,
     label,
     rename_to_roles,
     require,
+    warn_user,
 )
 from hyperpaint.light.illumination import noise_of_record
 

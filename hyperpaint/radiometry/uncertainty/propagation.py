@@ -21,10 +21,7 @@ import numpy as np
 import xarray as xr
 from scipy import sparse
 
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -32,12 +29,16 @@ from hyperpaint.base.schema import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     LIBRARY_VARIABLES,
+    QUANTISATION_VARIANCE_COUNT2,
     SIGNATURE,
     VARIABLES,
     Array,
     Floats,
+    Problems,
+    SchemaError,
     label,
     require,
+    takes_quantities,
 )
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, line_light, matched_noise

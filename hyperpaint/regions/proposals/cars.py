@@ -27,16 +27,7 @@ from scipy.ndimage import (
 )
 from scipy.spatial import ConvexHull
 
-from hyperpaint.base.schema import (
-    ALONG_TRACK,
-    BAND,
-    CROSS_TRACK,
-    IRRADIANCE_TIME,
-    Array,
-    Bools,
-    Floats,
-    Quality,
-)
+from hyperpaint.base import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Quality
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel

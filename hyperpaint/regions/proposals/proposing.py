@@ -11,10 +11,21 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import PaintError, Problems, SchemaError
-from hyperpaint.base.facts import documented, is_number, takes_quantities
-from hyperpaint.base.schema import Array, Bools, Floats, Progress, Quality, flag_names
+from hyperpaint.base import (
+    Array,
+    Bools,
+    Floats,
+    PaintError,
+    Problems,
+    Progress,
+    Quality,
+    SchemaError,
+    documented,
+    flag_names,
+    is_number,
+    schema,
+    takes_quantities,
+)
 from hyperpaint.geometry import locate
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.light.daylight_colours import colour_name

@@ -24,9 +24,16 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, argument_facts, as_argument, check_values
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import (
+    Fact,
+    Floats,
+    Problems,
+    SchemaError,
+    Spelling,
+    argument_facts,
+    as_argument,
+    check_values,
+)
 from hyperpaint.simulation.settings import FLEETS, MAX_SEED
 
 from .materials import Coat, Material

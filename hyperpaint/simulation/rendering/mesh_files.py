@@ -23,9 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
-from hyperpaint.base.facts import is_number
-from hyperpaint.base.input_files import read_limited
+from hyperpaint.base import FormatError, SchemaError, is_number, needs_extra, read_limited
 
 from .materials import Material
 from .scene import Instance, Mesh, Scene, has_area, smoothed, warn_of_dropped

@@ -26,9 +26,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values, takes_quantities
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import (
+    Fact,
+    Floats,
+    Problems,
+    SchemaError,
+    Spelling,
+    as_argument,
+    check_values,
+    takes_quantities,
+)
 from hyperpaint.simulation.settings import (
     DEFAULT_START,
     MAX_SEED,

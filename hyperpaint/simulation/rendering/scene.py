@@ -18,9 +18,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import check_fields, declared, fact, one_of
-from hyperpaint.base.schema import Array, Floats, Ints
+from hyperpaint.base import (
+    Array,
+    Floats,
+    Ints,
+    Problems,
+    SchemaError,
+    check_fields,
+    declared,
+    fact,
+    one_of,
+    warn_user,
+)
 from hyperpaint.light.sky_functions import FUNCTIONS
 from hyperpaint.simulation.settings import MAX_SEED, MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel
-from hyperpaint.base.schema import Array
 
 Vector: TypeAlias = tuple[float, float, float]
 Frame: TypeAlias = tuple[Vector, Vector, Vector]

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
-from hyperpaint.base.schema import Array
 
 from .draws import philox
 

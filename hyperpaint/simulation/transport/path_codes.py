@@ -17,8 +17,7 @@ from typing import Self
 
 import numpy as np
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import Bools, Ints
+from hyperpaint.base import Bools, Ints, SchemaError
 
 #: Numbers of the sources.
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel
-from hyperpaint.base.schema import Array
 
 from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import (

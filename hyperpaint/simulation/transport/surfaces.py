@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel
-from hyperpaint.base.schema import Array
 
 from .hierarchy import Vector, dot, unit
 
