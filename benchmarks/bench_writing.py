@@ -204,7 +204,7 @@ class WriteEnvi:
         import xarray as xr
 
         from hyperpaint.io.backends import EnviBackendEntrypoint
-        from hyperpaint.io.envi.envi_cube_writing import write_envi
+        from hyperpaint.io.envi.envi_cubes import write_envi
 
         raw = xr.open_dataset(self.header, engine=EnviBackendEntrypoint, chunks={"along_track": 32})
         line = self.line.assign(counts=self.line["counts"].copy(data=raw["counts"].data))

@@ -241,7 +241,7 @@ def plan_of(line: Any) -> Any:
 
 def error_terms_of_plan() -> Any:
     """Return what uncertainties follow from, every component being known."""
-    from hyperpaint.radiometry.uncertainty.propagation import error_terms
+    from hyperpaint.radiometry.uncertainty import error_terms
 
     gain = instrument()["gain"]
     known = {

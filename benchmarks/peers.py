@@ -175,8 +175,7 @@ def files(lines: int, rounds: int) -> Iterator[Result]:
 
     import hyperpaint as hp
     from benchmarks.bench_io import envi_cube
-    from hyperpaint.io.envi.envi_cube_writing import write_envi
-    from hyperpaint.io.envi.envi_cubes import open_envi
+    from hyperpaint.io.envi.envi_cubes import open_envi, write_envi
 
     header, known = envi_cube(lines), Constants()
     raw = header.with_suffix("")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hyperpaint
-from hyperpaint.plausibility.line_judging import KINDS
+from hyperpaint.plausibility.judging import KINDS
 
 _FRONT = """# Error codes
 

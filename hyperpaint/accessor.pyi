@@ -23,7 +23,7 @@ from hyperpaint.paints.signatures.line_sources import Smoothing
 from hyperpaint.pictures.exploring import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
-from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.regions.proposals import Proposals
 from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds
 from hyperpaint.surroundings.model import SceneModel
 

@@ -9,7 +9,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import takes_quantities
 from hyperpaint.base.schema import BAND, Floats
 from hyperpaint.radiometry.spectral_axis import at
-from hyperpaint.radiometry.uncertainty.propagation import FORMS
+from hyperpaint.radiometry.uncertainty import FORMS
 
 OTHER_BAND = "other_band"
 

@@ -49,7 +49,7 @@ from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.pixel_reading import coarse, pixels
 from hyperpaint.radiometry.spectral_axis import at, bands_at
-from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES, mean_uncertainty
+from hyperpaint.radiometry.uncertainty import UNCERTAINTIES, mean_uncertainty
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
 from hyperpaint.regions.polygons import contains, renumbered
 

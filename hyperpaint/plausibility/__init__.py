@@ -4,6 +4,6 @@ Opened lines and their files come in, `Finding`s go out: a name, found, expected
 `workflows`, which refuses or warns.
 """
 
-from .line_judging import KINDS, Finding, Kind, judge_dark_cube, judge_line
+from .judging import KINDS, Finding, Kind, judge_dark_cube, judge_line
 
 __all__ = ["KINDS", "Finding", "Kind", "judge_dark_cube", "judge_line"]

@@ -82,7 +82,7 @@ from .planning import (
     refuse_calibration,
 )
 from .stray_light import OF_ELEMENTS, STRAY_SOURCES, TABLE, Linearity, described
-from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
+from .uncertainty import UNCERTAINTIES, with_uncertainty
 
 #: Share of saturated elements [1] above which a white reference is refused; fewer become bad elements.
 MAX_SATURATED_SHARE = 0.01

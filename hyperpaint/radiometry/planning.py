@@ -89,7 +89,7 @@ from .stray_light import (
     table_names,
     tabulated,
 )
-from .uncertainty.propagation import error_terms, uncertainty_inputs
+from .uncertainty import error_terms, uncertainty_inputs
 
 # -- Light on a tilted surface under the sky that the irradiance record shows, which may not be clear.
 

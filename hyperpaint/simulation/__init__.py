@@ -6,7 +6,7 @@ chain is tested against independent code. `atmosphere` has the light, `rendering
 surfaces, `camera` the camera, `rendering.platforms` its path and attitude. `flight` combines them scan line
 by scan line: over a flat picture of a car park, a checkerboard, or a car park of triangles
 (`rendered_flight`, `rendering`). `instruments` writes the instrument files, `collect` all files, truth
-and sweeps; `sweep` is a monochromator sweep of the same camera.
+and monochromator sweeps of the same camera.
 """
 
 import lazy_loader

@@ -1,5 +1,6 @@
 from .atmosphere import BrokenClouds as BrokenClouds
 from .collect import (
+    SweepSettings as SweepSettings,
     simulate_collect as simulate_collect,
     simulate_line as simulate_line,
     simulate_sweep as simulate_sweep,
@@ -15,4 +16,3 @@ from .rendering.measured_brdfs import fit_paint as fit_paint, measured_brdf as m
 from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight, trace as trace
 from .settings import SimulationSettings as SimulationSettings
-from .sweep import SweepSettings as SweepSettings

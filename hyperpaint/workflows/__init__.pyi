@@ -1,5 +1,4 @@
 from . import (
-    collect_check as collect_check,
     collects as collects,
     demonstration as demonstration,
     field_day as field_day,

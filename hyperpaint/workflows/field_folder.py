@@ -36,8 +36,7 @@ from hyperpaint.base import (
 from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
-from hyperpaint.io.files.reading import is_pattern, read_limited_text, unique_names
-from hyperpaint.io.files.toml_tables import UNKNOWN
+from hyperpaint.io.files.reading import UNKNOWN, is_pattern, read_limited_text, unique_names
 from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.io.flightline.headwall import (
     cube_number,
@@ -48,8 +47,7 @@ from hyperpaint.io.flightline.headwall import (
     read_frame_index,
     recording_clock,
 )
-from hyperpaint.io.navigation.control_points import column_heading, metres_of
-from hyperpaint.io.navigation.navigation_records import read_imu_gps
+from hyperpaint.io.navigation.navigation_records import column_heading, metres_of, read_imu_gps
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra, sniff
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 from hyperpaint.io.spectrometers.spectrum_files import find_paths

@@ -1,7 +1,7 @@
 """Processing of a collect: from the files of the instruments to a store.
 
-Inputs are checked before processing (`collect_check`), recorded in the store as digests, protected from being
-overwritten, and compared with the store later (`compare_inputs`).
+Inputs are checked before processing (`collects.check_collect`), recorded in the store as digests, protected
+from being overwritten, and compared with the store later (`compare_inputs`).
 
 There is one recipe for products: inputs, settings, function and output are declared; one engine makes them.
 
@@ -105,8 +105,7 @@ from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.surroundings.surveying import flag_line
 
-from .collect_check import refuse_findings
-from .collects import opened_collect
+from .collects import opened_collect, refuse_findings
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -82,7 +82,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.dirsig.dirsig_files import read_materials
-from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
+from hyperpaint.io.files.reading import TableReader, load_tables, values
 from hyperpaint.io.library import open_library
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv

@@ -27,7 +27,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import PaintError, PaintWarning
-from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.collects import check_collect
 from hyperpaint.workflows.pipeline import process
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -219,7 +219,7 @@ def judge_real(data: Path) -> dict[str, list[str]]:
     # Return what is said of real files: counts and darks of two cameras, cubes, a sky record, poses
     from hyperpaint.io.envi.envi_cubes import open_envi
     from hyperpaint.io.navigation.navigation_records import open_navigation
-    from hyperpaint.plausibility.line_judging import (
+    from hyperpaint.plausibility.judging import (
         judge_bands,
         judge_dark,
         judge_dark_frames,

@@ -15,7 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.navigation_checking import ConventionCheck, check_conventions, row_motion
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.collects import check_collect
 
 pytest.importorskip("pyproj")
 

@@ -15,9 +15,9 @@ from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
-from hyperpaint.plausibility.line_judging import _mean_dark, judge_irradiance, judge_navigation
+from hyperpaint.plausibility.judging import _mean_dark, judge_irradiance, judge_navigation
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.collects import check_collect
 from hyperpaint.workflows.pipeline import process
 
 
@@ -137,7 +137,7 @@ def test_a_record_that_stands_still_matters_to_reflectance_only(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     still = Finding(KINDS["irradiance-constant"], "raw_0", "2 of 2 spectra", "spectra that differ")
-    monkeypatch.setattr("hyperpaint.plausibility.line_judging.judge_irradiance", lambda *_: iter([still]))
+    monkeypatch.setattr("hyperpaint.plausibility.judging.judge_irradiance", lambda *_: iter([still]))
     expect_errors(
         (
             CollectError,

@@ -12,8 +12,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.plausibility import KINDS
-from hyperpaint.plausibility.line_judging import CubeSample, judge_dark
-from hyperpaint.plausibility.product_judging import Product, judge_product
+from hyperpaint.plausibility.judging import CubeSample, Product, judge_dark, judge_product
 from hyperpaint.report.store_report import line_section
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.pipeline import process

@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning
 from hyperpaint.base.schema import Quality
 from hyperpaint.simulation import simulate_collect, simulate_line
-from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.collects import check_collect
 from hyperpaint.workflows.pipeline import process
 
 pytestmark = pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.plausibility.line_judging import (
+from hyperpaint.plausibility.judging import (
     CubeSample,
     judge_bands,
     judge_dark,
@@ -166,7 +166,7 @@ def test_shares_of_lines_without_movement_or_angle(share: float, named: bool) ->
 @pytest.mark.parametrize(("share", "named"), [(0.011, True), (0.02, False), (2.6, False), (5.0, True)])
 def test_irradiance_over_that_of_a_clear_sky(share: float, named: bool, monkeypatch: Any) -> None:
     level = LightLevel(share, 40.0, 1.0)
-    monkeypatch.setattr("hyperpaint.plausibility.line_judging.light_level", lambda *_: level)
+    monkeypatch.setattr("hyperpaint.plausibility.judging.light_level", lambda *_: level)
     time = np.array(["2024-06-01T12", "2024-06-01T13"], "datetime64[ns]")
     line = xr.Dataset(
         {"irradiance": (("irradiance_time", "irradiance_wavelength"), [[1.0, 2.0], [3.0, 4.0]])},

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.regions.proposals.cars import Picture, doubt_about_clouds, sunny_lines
+from hyperpaint.regions.proposals import Picture, doubt_about_clouds, sunny_lines
 from hyperpaint.surroundings.model import SHADED
 
 NM = np.linspace(405.0, 995.0, 24)

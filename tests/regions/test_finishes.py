@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.regions.proposals.cars import (
+from hyperpaint.regions.proposals import (
     Level,
     Measures,
     Picture,

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.regions.proposals.cars import height_model_of, measured_lean
+from hyperpaint.regions.proposals import height_model_of, measured_lean
 
 SPACING, SHAPE = 0.04, (40, 50)
 NORTH = np.array([1.0, 0.0])

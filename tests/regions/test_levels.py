@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hyperpaint.regions.proposals.cars import (
+from hyperpaint.regions.proposals import (
     Footprint,
     Level,
     Place,

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.regions.proposals.cars import (
+from hyperpaint.regions.proposals import (
     JOININGS,
     Car,
     Footprint,

@@ -16,7 +16,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.proposals.cars import (
+from hyperpaint.regions.proposals import (
     Level,
     Measures,
     Picture,
@@ -25,8 +25,8 @@ from hyperpaint.regions.proposals.cars import (
     hull_of,
     judge_level,
     lean_to_sun,
+    outline,
 )
-from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
 ZENITH = 30.0

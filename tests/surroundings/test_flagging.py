@@ -15,8 +15,8 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import Quality
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
-from hyperpaint.regions.proposals import proposing
-from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.regions import proposals
+from hyperpaint.regions.proposals import Proposals
 from hyperpaint.report import store_report
 from hyperpaint.simulation import simulate_line
 from hyperpaint.surroundings import surveying
@@ -80,7 +80,7 @@ def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         made.append(options)
         return real(line, **options)
 
-    for module in (surveying, proposing):
+    for module in (surveying, proposals):
         monkeypatch.setattr(module, "survey", watched)
     return made
 

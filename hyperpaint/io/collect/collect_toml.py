@@ -36,8 +36,7 @@ from hyperpaint.base import (
     with_numbers,
 )
 from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.files.reading import is_pattern
-from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
+from hyperpaint.io.files.reading import TableReader, is_pattern, load_tables, values
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import (
     BLANK_COUNT,

@@ -50,7 +50,7 @@ from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
 from hyperpaint.light.sun import solar_position
-from hyperpaint.radiometry.uncertainty.propagation import (
+from hyperpaint.radiometry.uncertainty import (
     NONE_KNOWN,
     UNCERTAINTIES,
     MeanErrors,

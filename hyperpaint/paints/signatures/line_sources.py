@@ -26,7 +26,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smoothing_matrix,
     to_nominal,
 )
-from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES, LineErrors, line_errors
+from hyperpaint.radiometry.uncertainty import NONE_KNOWN, UNCERTAINTIES, LineErrors, line_errors
 from hyperpaint.regions import Regions
 from hyperpaint.regions.polygons import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import (

@@ -12,7 +12,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Array, Floats, Progress, Quality
 from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
-from hyperpaint.radiometry.uncertainty.propagation import effective_number
+from hyperpaint.radiometry.uncertainty import effective_number
 from hyperpaint.regions import Region
 from hyperpaint.surroundings.scratch import trim_memory
 

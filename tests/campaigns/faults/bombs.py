@@ -187,7 +187,7 @@ def warm_up() -> None:
         *(
             "hyperpaint.io.spectrometers.irradiance",
             "hyperpaint.cli.info_command",
-            "hyperpaint.workflows.collect_check",
+            "hyperpaint.workflows.collects",
         ),
         *(
             "google_crc32c",

@@ -67,7 +67,7 @@ CONTEXT.set_forkserver_preload(
         "hyperpaint",
         "hyperpaint.accessor",
         "hyperpaint.workflows.pipeline",
-        "hyperpaint.workflows.collect_check",
+        "hyperpaint.workflows.collects",
         "hyperpaint.workflows.library_files",
         "hyperpaint.alignment",
         "hyperpaint.pictures.plot",

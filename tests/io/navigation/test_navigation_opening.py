@@ -28,13 +28,13 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.flightline.flightline_opening import Timing, line_times, utc_of
-from hyperpaint.io.navigation.control_points import read_control_points
 from hyperpaint.io.navigation.navigation_records import (
     LEAP_SECONDS,
     LEAP_SECONDS_EXPIRY,
     Clock,
     ClockCorrection,
     gps_to_utc,
+    read_control_points,
     read_gps_time,
     read_imu_gps,
 )

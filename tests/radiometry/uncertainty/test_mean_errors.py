@@ -8,7 +8,7 @@ import xarray as xr
 from support.noisy_collects import BANDS, WAVELENGTH, noisy_collect, true_reflectance
 
 from hyperpaint.radiometry import mean_uncertainty, reflectance
-from hyperpaint.radiometry.uncertainty.propagation import RegionSums, line_errors, rounding_variance
+from hyperpaint.radiometry.uncertainty import RegionSums, line_errors, rounding_variance
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning"

@@ -12,7 +12,7 @@ from support.refusals import expect_errors, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.radiometry.uncertainty.photon_transfer import MAX_SAMPLES, estimate_noise
+from hyperpaint.radiometry.uncertainty import MAX_SAMPLES, estimate_noise
 from hyperpaint.simulation import simulate_line
 
 

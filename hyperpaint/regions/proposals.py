@@ -1,13 +1,19 @@
-"""Cars: the footprint around a piece of paint, its roof, the pieces of one car, and the part proposed.
+"""Proposed regions of car paint, ranked, each with its reasons.
 
-A piece is a connected part of one body, with its measures, its light and its lean.
+A line and its scene model come in; `Proposals`, regions with reasons and the refused pieces, go out. For the
+accessor and workflows. First the thresholds, chosen on simulated car parks unless a field states otherwise;
+then pieces (connected parts of one body, with their measures, light and lean), the cars around them with
+their roofs, and the part that is proposed; `propose_regions` is last.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from inspect import signature
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -27,16 +33,319 @@ from scipy.ndimage import (
 )
 from scipy.spatial import ConvexHull
 
-from hyperpaint.base import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Quality
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    Array,
+    Bools,
+    Floats,
+    PaintError,
+    Problems,
+    Progress,
+    Quality,
+    SchemaError,
+    documented,
+    flag_names,
+    is_number,
+    schema,
+    takes_quantities,
+)
+from hyperpaint.geometry import locate
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.light.coat_transmission import interface_reflectance
+from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings import SceneModel
-from hyperpaint.surroundings.corrections import MAX_SUN_ZENITH_DEG, split_of
+from hyperpaint.radiometry.slabs import line_chunked
+from hyperpaint.surroundings import SceneModel, survey
+from hyperpaint.surroundings.corrections import MAX_SUN_ZENITH_DEG, shadow_side_of, split_of, sun_zenith_of
 from hyperpaint.surroundings.model import SHADED
 from hyperpaint.surroundings.segments import padded
-from hyperpaint.surroundings.surveying import is_vegetation
+from hyperpaint.surroundings.surveying import flag, is_vegetation, to_channels
 
-from .proposal_rules import CARS, FINISHES, FOOTPRINTS, GAPS, JUDGING, LEANS, LEVELS, ROOFS, SURFACES
+from .polygons import Region, Regions, ground_of, renumbered
+
+
+@dataclass(frozen=True)
+class SurfaceRules:
+    # Classes of segments by their spectra, and measures of a piece.
+    #: Mean reflectance below which a surface may be a window or a shadow [1]; it is examined and listed last.
+    dark: float = 0.05
+    #: Minimum mean reflectance of an examined piece [1]: windows before a black interior mirror as much.
+    min_level: float = 0.010
+    #: Minimum cosine of the spectral angle between a segment and the ground, for a segment of ground.
+    min_ground_cosine: float = float(np.cos(np.radians(3.0)))
+    #: Maximum |ln(length of its spectrum / length of the ground's spectrum)| of such a segment.
+    max_ground_log_ratio: float = 0.2
+    min_change: float = 0.005  #: Difference in reflectance that is always allowed between pixels [1].
+    square_px: int = 5  #: Side of the square that brightness and adjacency are averaged over [pixel].
+
+
+@dataclass(frozen=True)
+class FootprintRules:
+    # The footprint of a car around a piece of its paint.
+    mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
+    #: Minimum cosine of the spectral angle between a pixel of the car's paint and the piece.
+    min_cosine: float = float(np.cos(np.radians(7.0)))
+    #: Range of the brightness of a car's paint relative to the piece [1]: first for solid paint, on parts
+    #: that lean by some ten degrees; then for paint with flakes, in their lobe or beside it.
+    brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.4, 1.7), (0.2, 4.0))
+    #: The same for dark paint: windows reflect at least half as much [1].
+    dark_brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.7, 1.7), (0.7, 3.0))
+    #: Maximum |ln(length of the spectrum / length of the ground's spectrum)| of a pixel of ground.
+    max_ground_log_ratio: float = 0.4
+    max_gap_px: int = 2  #: Maximum gap over which paint is joined [pixel].
+    #: Half width of bridges that may join two cars, such as mirrors and bay lines [pixel].
+    bridge_px: int = 2
+    thin: float = 0.25  #: Half width of removed thin parts, relative to the part around the piece [1].
+    min_half_width_px: float = 2.5  #: Minimum half width of the remaining parts [pixel].
+    slenderness: tuple[float, float] = (1.7, 3.3)  #: Range of a car's length over its width [1].
+    max_width: float = 2.0  #: Maximum width of a car relative to its widest part [1].
+    max_gap: float = 4.5  #: Maximum gap between parts, relative to half the width of the widest part [1].
+    max_ground_share: float = 0.1  #: Maximum share of ground in a car [1].
+    margin: float = 2.5  #: Margin around the piece at first, relative to the size of the piece [1].
+    max_margin_px: int = 300  #: Maximum of the margin at first [pixel].
+    growth: float = 1.5  #: Factor by which the margin grows where the car reaches its edge [1].
+    rounds: int = 6  #: Maximum number of margins.
+    turn_deg: float = 2.0  #: Step of the directions of fitted rectangles [degree].
+
+
+@dataclass(frozen=True)
+class RoofRules:
+    # The roof between windows.
+    #
+    # Distances and widths across the car are in half widths of the car, lengths along it in car lengths. A
+    # track is a row of pixels across the car.
+    middle: float = 0.4  #: Distance from the axis within which dark pixels show a window across the car.
+    side: float = 0.3  #: Distance from the axis from which on dark pixels show side windows.
+    max_window_level: float = 0.07  #: Maximum mean reflectance of a window [1].
+    max_window_of_paint: float = 0.5  #: Maximum of the same relative to bright paint [1].
+    min_crossed: float = 0.4  #: Minimum dark share of a track where a window crosses the car [1].
+    min_window_px: int = 2  #: Minimum number of tracks of a window [pixel].
+    #: Minimum length of the roof of a complete car: shorter sections lie between windows of several cars.
+    min_roof: float = 0.12
+    #: The same without bonnet and boot beyond both windows: a bonnet between a windscreen and the car's own
+    #: shadow is shorter.
+    short_roof: float = 0.2
+    min_roof_px: int = 5  #: Minimum number of tracks of a roof [pixel].
+    max_strip: float = 0.05  #: Maximum length of a strip of paint that is counted with the windows around it.
+    min_bonnet: float = 0.1  #: Minimum length of a bonnet or a boot.
+    #: Worth of a roof with bonnet and boot, or bed, beyond both windows: more than any length and share of
+    #: side windows add, as a bed has walls along it, too.
+    between_worth: float = 2.0
+    max_bonnet: float = 0.38  #: Maximum length of a bonnet: a longer section is a roof.
+    max_windscreen: float = 0.2  #: Maximum length of a windscreen: a longer window may contain a sunroof.
+    min_sunroof: float = 0.24  #: Minimum length of a windscreen with a sunroof.
+    min_tail: float = 0.1  #: Minimum length beyond such a window: behind a bed there is less.
+    unsure: float = 0.015  #: Maximum distance of the level position from the middle of the roof.
+    unsure_beside: float = 0.03  #: Maximum of the same beside a sunroof.
+    #: Minimum length of the roof of a car at the picture's edge, relative to its width: less may be half a
+    #: roof [1].
+    min_roof_of_cut: float = 0.5
+    sided: float = 0.3  #: Minimum share of side windows along a roof between two windows [1].
+    long_sided: float = 0.5  #: The same for a long section that ends at one window [1].
+    surely_sided: float = 0.6  #: The same for any section that ends at one window [1].
+    #: Range of positions along the car of the middle of a roof between two windows.
+    central: tuple[float, float] = (0.33, 0.75)
+    min_van_roof: float = 0.55  #: Minimum length of the roof of a van.
+    max_van_roof: float = 0.78  #: Maximum of the same: a bonnet and a windscreen lie before it.
+    van_sided: float = 0.15  #: Minimum share of side windows along the roof of a van [1].
+    min_slenderness: float = 1.2  #: Minimum length over width of a car whose windows prove its roof [1].
+    used_width: float = 0.75  #: Part of a roof's width that is used [1].
+    roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
+    min_seen: float = 0.2  #: Minimum share of a roof's tracks that show its side window [1].
+    #: Distance from the axis up to which the side of a roof is searched: the footprint may be too narrow.
+    beyond: float = 1.3
+    step_px: float = 0.25  #: Step of this search [pixel].
+    #: Minimum fall of ln(reflectance) at the side of a roof within a pixel: shading at a rail makes 0.4 [1].
+    min_step: float = 0.7
+    window_width: float = 0.08  #: Minimum width of the dark strip beyond the side; also at least a pixel.
+    black: float = 0.004  #: Reflectances below are set to this value before logarithms [1].
+    #: Maximum error of the middle between the sides: found by the fall of brightness [pixel], by the edges of
+    #: windows [pixel], and with a side missing (in half widths of the car).
+    unsure_side_px: float = 0.5
+    unsure_window_px: float = 1.0
+    unsure_width: float = 0.15
+
+
+@dataclass(frozen=True)
+class JudgingRules:
+    # Verdicts: uncertainty of the level, darker windows, flakes, and the score.
+    #: Maximum relative standard uncertainty of the level; a signature may be wrong by 6 % [1].
+    max_level_sd: float = 0.042
+    #: The same for flakes near their lobe: the level holds for one geometry only, where a degree of aspecular
+    #: angle changes it by 5 %; the shape of the spectrum is right at any level [1].
+    max_lobe_sd: float = 0.055
+    max_dark_sd: float = 0.0026  #: The same in reflectance, for dark paint, where that allows more [1].
+    least_sd: float = 0.008  #: Relative uncertainty of a level roof: noise, dust, light of neighbours [1].
+    #: Uncertainty of light added to any paint, such as by neighbours, in reflectance [1].
+    mirror_sd: float = 0.0012
+    #: Relative uncertainty of the mirrored clear sky; the light added by haze has an uncertainty of 1 [1].
+    mirror_share_sd: float = 0.25
+    covered_share_sd: float = 0.03  #: The same for an overcast sky (CIE type 1) at its zenith [1].
+    panel_deg: float = 7.0  #: Unknown lean of a body part other than a roof [degree].
+    #: Relative change of brightness with lean, in direct light, assumed for a part without a visible crown
+    #: [1/rad]: that of flakes 15 to 20 degrees from their mirror direction, where most of these parts are.
+    unseen_change: float = 3.0
+    #: Change with lean relative to a solid body, in direct light, above which a reason names flakes [1].
+    max_solid_gain: float = 3.0
+    min_direct: float = 0.5  #: Minimum direct share of the light for that reason [1].
+    #: Minimum difference between paint and windows, relative to the paint, that distinguishes them [1].
+    min_window_contrast: float = 0.25
+    min_window_step: float = 0.0025  #: The same in reflectance [1].
+    #: Range of the brightness of a dark roof relative to the other paint of the car: a bed lies outside.
+    dark_roof: tuple[float, float] = (0.7, 1.4)
+    enough_px: int = 200  #: Number of pixels above which more do not raise the score.
+    half_angle_deg: float = 2.0  #: Spectral angle that halves a score [degree].
+    half_adjacency: float = 0.01  #: Adjacency that halves a score [1].
+    half_glint: float = 0.02  #: Glint that halves a score [1].
+    half_spread: float = 0.03  #: Spread of brightness that halves a score [1].
+
+
+@dataclass(frozen=True)
+class CarRules:
+    # Pieces of one car.
+    #: Minimum share of a piece on the paint of a car that assigns the piece to this car [1].
+    min_piece_share: float = 0.5
+    min_window_share: float = 0.8  #: The same on its complete area, for a piece of another colour [1].
+    max_size: float = 1.8  #: Maximum pixels of a car relative to the median over the cars of a line [1].
+    min_sizes: int = 3  #: Minimum number of cars for this median.
+    min_overlap: float = 0.3  #: Minimum shared part of the smaller of two footprints of one car [1].
+    #: Maximum of |brightness of a part / brightness of the car's other paint - 1|: this step, or the effect
+    #: of a lean of `max_lean` under the sun where that is more [1].
+    max_step: float = 0.15
+    max_lean: float = float(np.radians(10.0))  #: Lean of a part against the car's other paint [radian].
+    #: Factors of the brightness limit, tried in order until enough pixels of a roof are within it [1].
+    wider: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
+
+
+@dataclass(frozen=True)
+class GapRules:
+    # Thresholds of light between broken clouds.
+    #: Wavelength from which sunlight and the light of the sky differ most [nm].
+    infrared_nm: float = 780.0
+    #: Maximum excess of the diffuse fraction over that of a clear sky in free sun: a cloud that blocks half
+    #: of the sunlight raises it by at least 0.1 [1].
+    max_above_clear: float = 0.08
+    #: Maximum ratio of the smallest to the largest irradiance of the record: thinner clouds do not show in a
+    #: shadow [1].
+    max_dip: float = 0.65
+    #: Irradiance relative to free sun, below which a cloud begins [1].
+    min_of_free: float = 0.95
+    #: Time of free sun required before and after a line [s]: a cloud's edge at 8 m/s moves 80 m.
+    around_s: float = 10.0
+    #: Maximum diffuse fraction in a shadow beside the car relative to the record [1]: 0.6 to 1 of the sky
+    #: lights a shadow; under a cloud the ratio is 2 to 3.
+    max_over_record: float = 1.5
+    #: Minimum diffuse fraction assumed for the record: light from neighbours reaches every shadow [1].
+    least_fraction: float = 0.06
+    min_px: int = 40  #: Minimum number of pixels of the shadow, and of the sunlit ground beside it.
+    sd: float = 0.025  #: Standard uncertainty of the level between clouds, relative [1].
+    around_px: int = 60  #: Margin around a part of a car that may hold its shadow [pixel].
+
+
+@dataclass(frozen=True)
+class LeanRules:
+    # Thresholds of leans of roofs, and of height models.
+    #: Unknown lean across a car, where its symmetric roof would be level on level ground [degree]. Parking
+    #: areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of which one of two components is
+    #: towards the sun.
+    roll_deg: float = 0.5
+    #: Unknown lean along the car, where a roof of 6 m radius may also be highest 7 cm from its middle
+    #: [degree].
+    rake_deg: float = 0.8
+    #: Minimum height of a roof above its surroundings in a height model that shows cars and not bare ground;
+    #: cars are at least 1.4 m high [m].
+    min_above_m: float = 0.7
+    around_px: int = 25  #: Margin around a roof that contains ground [pixel].
+    #: Correlation length of height errors [m]: photogrammetry matches patches.
+    patch_m: float = 0.15
+    floor_deg: float = 0.3  #: Standard deviation of the tilt error of the height model itself [degree].
+    min_px: int = 40  #: Minimum number of pixels with a height.
+    min_side_px: int = 4  #: Minimum number of lines, and of columns, with such pixels.
+
+
+@dataclass(frozen=True)
+class LevelRules:
+    # The axis of a roof, and the surface through its brightness.
+    #
+    # Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
+    #: Range in which its edges are searched, in half widths from its windows.
+    edge_span: tuple[float, float] = (0.7, 1.25)
+    #: Minimum factor by which brightness falls within `edge_px` at an edge: windows reflect less than half as
+    #: much as paint that is not dark [1].
+    min_edge_ratio: float = 1.2
+    edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
+    steps_per_px: int = 4  #: Samples a pixel of a profile across a roof.
+    #: Standard deviation of the axis between two edges: mixed pixels shift either by half a pixel [pixel].
+    edged_sd_px: float = 0.4
+    #: Half of the fitted range, along and across: within it the lean is proportional to the distance, and a
+    #: lobe adds a term of second order.
+    fitted: tuple[float, float] = (0.9, 0.5)
+    rounds: int = 30  #: Maximum number of iterations that exclude glint from the fit.
+    #: Maximum residual above the surface in the fit, in standard deviations: glint only adds.
+    max_above_sd: float = 2.5
+    max_below_sd: float = 3.0  #: The same below it, in standard deviations.
+    min_sd: float = 0.003  #: Minimum of this standard deviation, relative to the brightness [1].
+    min_fitted_px: int = 25  #: Minimum number of pixels of the fit.
+    #: Number of pixels whose errors by dust, orange peel and point spread are correlated: 3 x 3.
+    clump_px: float = 9.0
+    #: Lean across the car half a width from the middle of a roof [degree]: roofs have a radius of 2.5 to 3 m.
+    crown_deg: float = 12.0
+    #: Drop of a roof from its middle to its end over its half length: 3 cm in 0.7 m, 7 cm in 1.4 m [1].
+    drop: float = 0.05
+    max_crown_deg: float = 5.0  #: Maximum lean along the car, half a width from the middle [degree].
+
+
+@dataclass(frozen=True)
+class FinishRules:
+    # Thresholds of a finish. A change is that of ln(brightness) with lean over the crown of a roof [1/rad].
+    #
+    # Under a sun at the zenith angle t a solid body changes by s = f_dir d ln(cos t (1 - F(t))) / dt (see
+    # `change_with_lean`). Simulated flakes (flop index 3 and more) change by 1 to 10 near the sun's mirror
+    # direction, and by about s far from it.
+    min_direct: float = 0.5  #: Minimum direct share of the light for a visible lobe [1].
+    #: Maximum zenith angle of the sun: under a lower sun a roof shades itself [degree].
+    max_zenith_deg: float = 62.0
+    min_level: float = 0.06  #: Minimum mean reflectance of a roof: below, dust and sky dominate [1].
+    #: Factor k of flakes across a roof: they change by more than k s + `offset`; the curvature of a roof is
+    #: known to a third.
+    metallic_across: float = 1.7
+    #: The same along a roof, where the curvature of roofs varies by a factor of three; not used under a sun
+    #: nearer to the zenith than `solid_zenith_deg`, where the gloss of a rough coat may lie on a part of it.
+    metallic_along: float = 5.0
+    offset: float = 0.5  #: Additional change by dust, glint and neighbours [1/rad].
+    #: Maximum change of a solid roof in any direction, with the sun within `solid_zenith_deg`: flakes change
+    #: by more than 2 there, and white pearl by 0.7 [1/rad].
+    max_solid_change: float = 0.45
+    #: Range of zenith angles for this rule [degree]: nearer the zenith a lobe may peak at the level position.
+    solid_zenith_deg: tuple[float, float] = (20.0, 32.0)
+    #: Grey share of the difference between the bright and the dark part of a coloured roof [1]: maximum for
+    #: solid paint.
+    max_flat_share: float = 0.13
+    #: The same, minimum for flakes, which mirror all colours; between both the finish is unknown [1].
+    metallic_flat_share: float = 0.33
+    #: Maximum zenith angle of the sun for solid paint by its colour [degree]: under a lower sun most of the
+    #: change with lean comes from the body even with flakes.
+    max_coloured_zenith_deg: float = 45.0
+    min_colour: float = 0.35  #: Minimum standard deviation over mean of a coloured spectrum [1].
+    min_contrast: float = 0.2  #: Minimum contrast of the bright and the dark part [1].
+    #: Maximum change across and along of solid paint by its colour, in s.
+    max_coloured: tuple[float, float] = (1.3, 2.0)
+    min_px: int = 60  #: Minimum number of pixels of a roof whose quarters are compared.
+
+
+SURFACES = SurfaceRules()
+FOOTPRINTS = FootprintRules()
+ROOFS = RoofRules()
+JUDGING = JudgingRules()
+CARS = CarRules()
+GAPS = GapRules()
+LEANS = LeanRules()
+LEVELS = LevelRules()
+FINISHES = FinishRules()
+
 
 #: Flags of pixels without a valid spectrum.
 _INVALID = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
@@ -1502,3 +1811,395 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
 
 def _cosine(first: Floats, second: Floats) -> float:
     return float(first @ second) / max(float(np.linalg.norm(first) * np.linalg.norm(second)), 1e-9)
+
+
+#: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
+_STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+
+def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
+    """Return the ring around a connected set of pixels, and those around its holes.
+
+    Takes ``mask`` (line, column): the pixels; neighbours share a side; ``first``: line and column of the
+    first pixel of ``mask`` in the flight line. Rings are x (column) and y (line) of corners (vertex, 2),
+    halfway between pixel centres.
+
+    Examples
+    --------
+    >>> outline(np.ones((1, 2), bool), (4, 10))[0].tolist()
+    [[9.5, 3.5], [11.5, 3.5], [11.5, 4.5], [9.5, 4.5]]
+    """
+    # sides of the mask that begin at every corner, as indices into `_STEPS`; the mask is on their right
+    padded = np.pad(mask, 1)
+    neighbours = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
+    # corner of a pixel where its upper, right, lower, left side begins
+    corners = ((0, 0), (0, 1), (1, 1), (1, 0))
+    sides: dict[tuple[int, int], list[int]] = {}
+    for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True)):
+        for line, column in np.argwhere(mask & ~neighbour).tolist():
+            sides.setdefault((line + dy, column + dx), []).append(direction)
+    rings = []
+    while sides:
+        # start at the first corner in line order: the first ring then is the outer ring
+        corner = start = min(sides)
+        direction, previous = min(sides[start]), -1
+        ring: list[tuple[int, int]] = []
+        rings.append(ring)
+        while corner in sides and not (ring and corner == start):
+            directions = sides[corner]
+            if ring:
+                # where two pixels touch only at this corner, the right turn stays with the current pixel
+                direction = min(directions, key=lambda candidate: (candidate - previous - 1) % 4)
+            directions.remove(direction)
+            if not directions:
+                del sides[corner]
+            if direction != previous:
+                ring.append(corner)
+            corner = (corner[0] + _STEPS[direction][0], corner[1] + _STEPS[direction][1])
+            previous = direction
+    offset = np.array([origin[1] - 0.5, origin[0] - 0.5])
+    outlines = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
+    return outlines[0], tuple(outlines[1:])
+
+
+#: Flags that a signature of a proposed region excludes; brightness has already excluded glint and adjacency.
+_EXCLUDED_FLAGS = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
+
+_WGS84 = "EPSG:4326"
+_DIMS = (schema.ALONG_TRACK, schema.CROSS_TRACK)
+#: Variables of a flagged line that proposals use.
+_LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
+
+
+@dataclass(frozen=True)
+class Proposals(Regions):
+    """Proposed regions, best first, and the refused pieces.
+
+    Attributes
+    ----------
+    refused
+        Every examined piece with an objection, those that look like windows, shadows or leaves last; the
+        property ``refused`` lists the objections. Writing the proposals does not write these pieces. Three
+        kinds of pieces are not examined: bodies with the colour of the ground, pixels in cast shadow, and
+        pieces with fewer than a quarter of ``min_pixels`` pixels away from edges. So a car with the colour of
+        the ground is in neither list; nor are regions that exceed ``most``.
+
+    Examples
+    --------
+    >>> from hyperpaint.regions import Region, Regions
+    >>> pane = Region("refused_01", [(6, 0), (9, 0), (9, 3)], properties={"refused": "a window"})
+    >>> proposals = Proposals((Region("red-01", [(0, 0), (4, 0), (4, 3)]),), refused=Regions((pane,)))
+    >>> len(proposals), proposals.refused[0].properties["refused"]
+    (1, 'a window')
+    """
+
+    refused: Regions = field(default_factory=lambda: Regions(()))
+
+    def table(self) -> str:
+        """Return a line of text for every proposed and every refused region."""
+        rows = [
+            f"{region.name}  at {region.properties['place']}  score {region.properties['score']:.2f}  "
+            f"{'; '.join(region.properties['reasons'])}"
+            for region in self.regions
+        ]
+        rows += [f"{region.name}  {'; '.join(region.properties['refused'])}" for region in self.refused]
+        return "\n".join(rows)
+
+
+@takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
+@documented(progress="survey progress")
+def propose_regions(
+    line: xr.Dataset,
+    model: SceneModel | xr.Dataset | None = None,
+    *,
+    most: int | None = None,
+    min_pixels: int = 40,
+    erode: int = 3,
+    glint: float = 0.02,
+    shadow: float = 0.2,
+    adjacency: float = 0.02,
+    brightness: float = 0.03,
+    angle: float = 5.0,
+    flightline: str = "",
+    name: str = "",
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> Proposals:
+    r"""Propose regions of car paint, best first, each with its reasons, and list the refused pieces.
+
+    Eager: reads the line once, and once more for the scene model without ``model``. Results have the same
+    bits for any chunking. The rules use only the common proportions of cars:
+
+    * Pieces are connected parts of a body of the scene model, away from its edges, not in cast shadow,
+      and neither like the ground (the largest body) nor like leaves (steep red edge, then flat).
+    * A car is the area between the thick parts of a piece's colour, pixel by pixel: parts that are connected
+      or, where these show no roof, separated by dark pixels only, or as bright as flakes at another lean. It
+      contains no lit ground. Cars whose roof is certain from proportions and windows come first; a car 1.8
+      times larger than most of them is several cars of one colour.
+    * Windows are dark and cross the car. The roof lies between two of them, or has one at an end and others
+      along its sides, or is longer than any bonnet. It is level in its middle; a window longer than any
+      windscreen contains a sunroof, and the roof is level beside it.
+    * Across, the roof is level halfway between its edges. Its brightness there is the value of a smooth
+      surface through the logarithm of its brightness nearby; glint lies above the surface. The largest
+      connected set of pixels with a brightness within 3 % of this value is used, or within 6 to 12 % if that
+      is too small. ``glint`` and ``adjacency`` do not apply to a roof: brightness shows glint, and
+      no neighbour is higher.
+    * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
+      degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
+      crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. The
+      mirrored sky adds an uncertainty that grows with haze. The property ``level_uncertainty`` holds it; a
+      roof is refused above 4.2 %, near the lobe of flakes 5.5 %, or 0.0026 in reflectance where that is more.
+      Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
+      that shows cars, lean and level place are also estimated from them.
+    * Under broken clouds a car is judged only where the record had free sun for 10 s before and after, and a
+      shadow beside the car shows free sun, too.
+    * ``finish`` is "metallic" where its light changes with lean more than for any solid paint, or where the
+      change is grey on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees from the
+      zenith and almost nothing changes, or where coloured paint changes as a solid paint does, under a sun up
+      to 45 degrees, and the change has its own colour. Else it is "unknown": far from the sun's mirror image
+      flakes look like solid paint. A signature of paint with flakes holds for this sun and view only.
+    * Another part of a car may lean by 7 degrees or more, and is used only where the car's roof is certain
+      but has no usable pixels, and the part's level is certain enough. Pixels without glint, shadow or light
+      from coloured neighbours are used, with a brightness within 3 % of the part's median. Its colour and
+      brightness must agree with the roof, and differ from the ground.
+    * Black paint is distinguished from windows by still darker windows, and a black roof by paint beyond both
+      its windows, or by a bonnet before the windscreen and windows along it.
+    * Each car gives one region.
+
+    Parameters
+    ----------
+    line
+    model
+        From `hyperpaint.surroundings.survey` of the same line; by default surveyed with ``options``.
+    most
+        Maximum number of regions; by default all.
+    min_pixels
+        Minimum number of pixels of a region.
+    erode
+        Distance from the edge of a body within which pixels are left out [pixel].
+    glint, shadow, adjacency
+        Largest ``glint_fraction``, ``blocked_direct`` and, as a mean over 5 x 5 pixels, ``adjacency`` of a
+        pixel, see `hyperpaint.surroundings.flag` [1]; for a roof only ``blocked_direct``.
+    brightness
+        Largest relative difference of a pixel, as a mean over 5 x 5, from the middle of a roof or the median
+        of another piece; for dark paint at least 0.005 in reflectance [1].
+    angle
+        Largest median spectral angle to the median [degree].
+    flightline
+        Name of the flight line, stored in the regions.
+    name
+        Prefix of the names of the regions, which are a colour and a number along the line: ``red-02`` is the
+        second red paint from the start, whatever ``most`` is; `hyperpaint.light.daylight_colours.COLOURS`
+        lists the words.
+    progress
+    **options
+        Options of `hyperpaint.surroundings.survey`; ``sun_zenith`` also applies with ``model``.
+
+    Returns
+    -------
+    Proposals
+        `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "metallic"), ``finish``
+        ("solid", "metallic", "unknown"), ``place`` (line and column of its centre, and position),
+        ``latitude``, ``longitude`` [degree, WGS 84] where the line has ground positions, or poses and the
+        height of the ground, as `hyperpaint.geometry.locate` takes them, ``level_uncertainty`` (standard,
+        relative) [1], ``lean`` (standard deviation) [degree], ``pixels``, ``spectral_angle`` [degree],
+        ``brightness_spread``, ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1],
+        ``excluded_flags`` (see `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused``
+        holds the refused pieces, with objections in the property ``refused``; see `Proposals` for pieces in
+        neither.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing, limits are negative or not finite, or the model is of another line.
+
+    Notes
+    -----
+    With n pixels, the spectral angle :math:`\alpha`, adjacency a, glint g and spread of brightness t,
+
+    .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
+              \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
+
+    A proposal can be wrong, more often for metallic and black paints. For measured rates see
+    ``benchmarks/fleet.py``.
+
+    The spectra still include the sky mirrored by the clear coat; see
+    `hyperpaint.surroundings.corrections.remove_mirrored_sky`.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.light.sun import diffuse_fraction
+    >>> nm = np.linspace(400.0, 1000.0, 24)
+    >>> sky = 0.04 * diffuse_fraction(nm, 30.0)[:, None]
+    >>> seen = np.full((60, 24, 100), 0.1)  # ground
+    >>> seen[15:45, :, 5:95] = np.where(nm > 600.0, 0.6, 0.04)[:, None] + sky  # a red car
+    >>> seen[19:41, :, 25:40] = seen[19:41, :, 70:80] = 0.012 + sky  # two windows
+    >>> cube = ("along_track", "band", "cross_track"), seen.astype("float32"), {"units": "1"}
+    >>> line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", nm, {"units": "nm"})})
+    >>> found = propose_regions(line, sun_zenith=30.0)
+    >>> [(region.name, region.properties["kind"]) for region in found]
+    [('red-01', 'roof')]
+    """
+    line = schema.rename_to_roles(line)
+    limits: dict[str, Any] = {
+        "erode": erode,
+        "glint": glint,
+        "shadow": shadow,
+        "adjacency": adjacency,
+        "brightness": brightness,
+        "angle": angle,
+    }
+    problems = Problems("regions cannot be proposed", SchemaError)
+    for key, value in limits.items():
+        problems.add_if(
+            not is_number(value) or value < 0,
+            f"{key}={value!r}",
+            expected="a number from 0 on",
+            code="value-out-of-range",
+        )
+    for key, count in (("min_pixels", min_pixels), ("most", most)):
+        problems.add_if(
+            count is not None and count < 1,
+            f"{key}={count!r}",
+            expected="1 or more",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
+    limits["min_pixels"] = min_pixels
+    unknown = sorted(set(options) - set(signature(survey).parameters))
+    if unknown:
+        raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
+    if model is None:
+        model = survey(line, progress=progress, **options)
+    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    if not scene.segments:
+        return Proposals(())
+    zenith = options.get("sun_zenith", scene.attrs.get("sun_zenith"))
+    try:
+        zenith = sun_zenith_of(line, zenith)
+    except SchemaError:  # unknown
+        if zenith is not None:
+            raise
+    side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
+    sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
+    picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
+    painted, judged = [], []
+    for piece, is_scenery in pieces(scene, erode, max(min_pixels // 4, 1)):
+        if is_scenery:
+            objection = "its red edge is that of leaves"
+            measures = measured(piece, picture, limits)
+            judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
+        else:
+            painted.append(piece)
+    for car in find_cars(painted, picture):
+        judged += judge_car(car, picture, limits)
+    # Accepted pieces by score, and refused pieces with their objections
+    places = _Places(line, scene.channel_wavelength, name)
+    accepted = [verdict for verdict in judged if not verdict.objections]
+    accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
+    refused = [verdict for verdict in judged if verdict.objections]
+    refused.sort(key=lambda verdict: verdict.scenery)
+    digits = len(str(max(len(refused), 10)))
+    proposed = [
+        _region(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
+        for rank, (verdict, (name, place)) in enumerate(
+            zip(accepted, places.of(accepted), strict=True), start=1
+        )
+    ][:most]
+    others = [
+        _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
+        for rank, verdict in enumerate(refused, start=1)
+    ]
+    proposals = Proposals(tuple(proposed), refused=Regions(tuple(others)))
+    return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
+
+
+class _Places:
+    # Names of paints by colour and order along a line, and their places.
+
+    def __init__(self, line: xr.Dataset, wavelength: Floats, prefix: str) -> None:
+        self.line, self.wavelength, self.prefix = line, wavelength, prefix
+
+    def of(self, verdicts: list[Verdict]) -> list[tuple[str, dict[str, Any]]]:
+        # Return name and place of every verdict.
+        centres = np.array([_centre(verdict) for verdict in verdicts], np.int64).reshape(-1, 2)
+        lines, columns = (
+            schema.numbers_of(self.line, dim)[k] for dim, k in zip(_DIMS, centres.T, strict=True)
+        )
+        places: list[dict[str, Any]] = [
+            {"place": f"line {line:.0f}, column {column:.0f}"}
+            for line, column in zip(lines, columns, strict=True)
+        ]
+        for place, (longitude, latitude) in zip(places, self._positions(centres), strict=False):
+            if np.isfinite(latitude + longitude):
+                place["place"] += f", {latitude:.6f}, {longitude:.6f}"
+                place |= {"latitude": round(latitude, 7), "longitude": round(longitude, 7)}
+        colours = [
+            colour_name(verdict.measures.spectrum, self.wavelength).replace(" ", "-") for verdict in verdicts
+        ]
+        names, counts = [""] * len(verdicts), Counter[str]()
+        for k in np.lexsort(centres.T[::-1]):
+            counts[colours[k]] += 1
+            names[k] = f"{self.prefix}{'_' * bool(self.prefix)}{colours[k]}-{counts[colours[k]]:02}"
+        return list(zip(names, places, strict=True))
+
+    def _positions(self, centres: Array) -> list[list[float]]:
+        # Longitude and latitude of pixels (n, 2) [degree]; empty without the geometry of the line
+        with contextlib.suppress(PaintError):
+            is_located = {"east", "north"} <= set(self.line.variables)
+            x, y, crs = ground_of(self.line if is_located else locate(self.line), _WGS84)
+            at = {dim: xr.DataArray(k, dims="place") for dim, k in zip(_DIMS, centres.T, strict=True)}
+            ground = np.stack(dask.compute(x.isel(at).data, y.isel(at).data), axis=1)
+            if crs is not None or x.name in ("longitude", "lon"):
+                positions: list[list[float]] = between_maps(ground, crs_of(crs or _WGS84), _WGS84).tolist()
+                return positions
+        return []
+
+
+def _centre(verdict: Verdict) -> Array:
+    # Line and column of the usable pixel that is nearest to the mean of the usable pixels, (2,)
+    inside = np.argwhere(verdict.measures.usable) + np.array(verdict.piece.origin)
+    nearest: Array = inside[((inside - inside.mean(axis=0)) ** 2).sum(axis=1).argmin()]
+    return nearest
+
+
+def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
+    # The line in the model's channels (line, column, channel), and its variables `_LAYERS`, by one pass
+    flagged = flag(line, model)
+    quality = line.get("quality")
+    cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
+    numbers = dask.delayed(model.channel)
+    blocks = [
+        dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
+    ]
+    results = dask.compute(*blocks, *[flagged[name].data for name in _LAYERS[:3]])
+    channels = np.concatenate(results[: len(blocks)])
+    layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
+    layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
+    return channels, layers
+
+
+def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:
+    piece, measures = verdict.piece, verdict.measures
+    ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.origin)
+    numbers = {
+        "spectral_angle": measures.angle,
+        "brightness_spread": measures.spread,
+        "brightness_slope": measures.slope,
+        "glint": measures.glint,
+        "blocked_direct": measures.shadow,
+        "adjacency": measures.adjacency,
+        "level_uncertainty": verdict.level_sd,
+        "lean": verdict.lean,
+    }
+    properties = {
+        **ranking,
+        "kind": verdict.kind or "unknown",
+        "finish": verdict.finish,
+        "pixels": measures.pixels,
+        "excluded_flags": flag_names(_EXCLUDED_FLAGS),
+        **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
+        "reasons": verdict.reasons,
+    }
+    return Region(name, ring, holes, flightline, properties)
