@@ -1155,7 +1155,38 @@ def align(
         camera = float(f"{share:.3f}") if abs(share) > rules.camera_significance * share_u else 0.0
         camera_text = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
         text = f"irradiance record corrected in flight{camera_text}: {_sentence(comparison)}"
-        return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
+        # the line with corrected channels of the record; `camera`: share of the camera [nm]
+        dataset = rename_to_roles(line)
+        arrays = require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
+        channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
+        # the shift is constant beyond the compared bands
+        limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
+        shifted = channels - comparison.shift_at(limited) + camera
+        width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
+        is_same_detector = channels <= max(VNIR_END_NM, comparison.wavelength.max())
+        widths = xr.DataArray(
+            np.where(is_same_detector, width * comparison.width, width), dims=IRRADIANCE_WAVELENGTH
+        )
+        coordinate = xr.DataArray(shifted, dims=IRRADIANCE_WAVELENGTH)
+        aligned = (
+            without_products(dataset)
+            .drop_vars("irradiance_fwhm")
+            .assign_coords({IRRADIANCE_WAVELENGTH: label(coordinate, IRRADIANCE_WAVELENGTH)})
+        )
+        if camera:
+            # ``wavelength`` stays, the common axis of all lines; the shift of columns changes
+            names = [name for name in ("wavelength_shift",) if name in aligned.variables]
+            declared = require(aligned, names, "the alignment")
+            zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
+            shift = declared.get("wavelength_shift", zero) + camera
+            new_shift = xr.DataArray(shift.values, dims=shift.dims)
+            aligned = aligned.assign_coords(wavelength_shift=label(new_shift, "wavelength_shift"))
+        return restated(
+            aligned.assign(irradiance_fwhm=label(widths, "irradiance_fwhm")),
+            text,
+            numbers=numbers,
+            state="applied",
+        )
     if is_significant:
         text = f"camera and irradiance record differ: {_sentence(comparison)}"
         mend = (
@@ -1186,36 +1217,6 @@ def _sentence(comparison: Comparison) -> str:
         f"{width_u:.3f} of that declared; irradiance changes by {changes}, at most "
         f"{np.nanmax(np.abs(comparison.effect)):.2%}"
     )
-
-
-def _corrected(line: xr.Dataset, comparison: Comparison, camera: float) -> xr.Dataset:
-    # Return the line with corrected channels of the record; `camera`: share of the camera [nm].
-    dataset = rename_to_roles(line)
-    arrays = require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
-    channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
-    # the shift is constant beyond the compared bands
-    limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
-    shifted = channels - comparison.shift_at(limited) + camera
-    width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
-    is_same_detector = channels <= max(VNIR_END_NM, comparison.wavelength.max())
-    widths = xr.DataArray(
-        np.where(is_same_detector, width * comparison.width, width), dims=IRRADIANCE_WAVELENGTH
-    )
-    coordinate = xr.DataArray(shifted, dims=IRRADIANCE_WAVELENGTH)
-    aligned = (
-        without_products(dataset)
-        .drop_vars("irradiance_fwhm")
-        .assign_coords({IRRADIANCE_WAVELENGTH: label(coordinate, IRRADIANCE_WAVELENGTH)})
-    )
-    if camera:
-        # ``wavelength`` stays, the common axis of all lines; the shift of columns changes
-        names = [name for name in ("wavelength_shift",) if name in aligned.variables]
-        declared = require(aligned, names, "the alignment")
-        zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
-        shift = declared.get("wavelength_shift", zero) + camera
-        new_shift = xr.DataArray(shift.values, dims=shift.dims)
-        aligned = aligned.assign_coords(wavelength_shift=label(new_shift, "wavelength_shift"))
-    return aligned.assign(irradiance_fwhm=label(widths, "irradiance_fwhm"))
 
 
 # --- wavelengths and width of the irradiance record alone, from solar lines and those of oxygen ------------

@@ -194,7 +194,29 @@ def search_library(
         attrs = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
         coordinates["colour_difference"] = (SIGNATURE, difference, attrs)
     if like is not None:
-        angle = _angles(library, variables["reflectance"], variables["wavelength"], like)
+        # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
+        nm = np.asarray(variables["wavelength"].values, np.float64)
+        spectrum = _one_spectrum(library, like, nm)
+        if "good" in library.variables:
+            spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
+        SchemaError.raise_if(
+            np.isfinite(spectrum).sum() < MIN_BANDS,
+            f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+            f"({nm.min():g} to {nm.max():g} nm)",
+            expected=f"at least {MIN_BANDS}",
+            code="bands-not-shared",
+        )
+        paints = np.asarray(variables["reflectance"].values, np.float64)
+        is_common = np.isfinite(paints) & np.isfinite(spectrum)
+        x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
+        usable = (is_common.sum(axis=1) >= MIN_BANDS) & (
+            np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0
+        )
+        # tan(angle / 2) = |x - y| / |x + y| of unit vectors: precise for small angles, unlike the cosine
+        unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+        unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+        difference, total = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
+        angle = np.where(usable, 2.0 * np.arctan2(difference, total), np.inf)
         is_match &= angle <= (np.inf if maximum_angle is None else maximum_angle)
         order = np.argsort(angle, kind="stable")
         attrs = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
@@ -244,30 +266,6 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
 
 
 # --- spectra -----------------------------------------------------------------------------------------------
-
-
-def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
-    # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
-    nm = np.asarray(wavelength.values, np.float64)
-    spectrum = _one_spectrum(library, like, nm)
-    if "good" in library.variables:
-        spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
-    SchemaError.raise_if(
-        np.isfinite(spectrum).sum() < MIN_BANDS,
-        f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
-        f"({nm.min():g} to {nm.max():g} nm)",
-        expected=f"at least {MIN_BANDS}",
-        code="bands-not-shared",
-    )
-    paints = np.asarray(reflectance.values, np.float64)
-    is_common = np.isfinite(paints) & np.isfinite(spectrum)
-    x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
-    usable = (is_common.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
-    # tan(angle / 2) = |x - y| / |x + y| of unit vectors: precise for small angles, unlike the cosine
-    unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
-    unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
-    difference, total = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
-    return np.where(usable, 2.0 * np.arctan2(difference, total), np.inf)
 
 
 def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:

@@ -236,39 +236,39 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     passes = not (is_high or top < RULES.least_top or is_short)
     if not passes:
         found += f", {100 * share:.3g} % of them too bright for their colour" * is_high
-        found += f", and the camera saturates at {full_scale:.2g}" * is_short + _slip(product, median)
+        # likely cause of the wrong level: the inputs to blame, and slips with about its factor
+        #
+        # Radiance that a clear sky explains blames the record; the other inputs otherwise.
+        ratio = median / RULES.ordinary_level
+        is_record = ratio > 1.0 and product.share < 0.6 and ratio * product.share < 2.0
+        if is_record:
+            ratio = 1.0 / product.share
+        elif product.divisor >= RULES.multiple:
+            ratio = product.divisor
+        factor = max(ratio, 1.0 / ratio)
+        likely = [
+            (abs(math.log(slip / factor)), f"{slip:.4g} ({text})")
+            for slip, text, of in _SLIPS
+            if of == is_record
+        ]
+        nearest = min(likely)[0]
+        slips = " or ".join(
+            text for distance, text in likely if distance <= max(nearest, math.log(RULES.slip_range))
+        )
+        blamed = (
+            f"the irradiance record, which has {product.share:.2g} of a clear sky's light"
+            if is_record
+            else "the gain of the calibration, the exposure time, the bit depth or the irradiance"
+        )
+        found += f", and the camera saturates at {full_scale:.2g}" * is_short + (
+            f": likely {blamed}, by a factor of about {factor:.2g}; known slips of this size: {slips}"
+        )
     expected = (
         f"{RULES.least_top:g} to {slope * RULES.most_coloured:.3g}, grey surfaces to "
         f"{slope * RULES.most_grey:.3g}; saturation from {RULES.least_full_scale:g} on"
     )
     kind = "reflectance-impossible" if is_refused else "reflectance-level"
     return [Verdict(kind, found, expected, passes)], top
-
-
-def _slip(product: Product, median: float) -> str:
-    # Return the likely cause of a wrong level: the inputs to blame, and slips with about its factor.
-    #
-    # Radiance that a clear sky explains blames the record; the other inputs otherwise.
-    ratio = median / RULES.ordinary_level
-    is_record = ratio > 1.0 and product.share < 0.6 and ratio * product.share < 2.0
-    if is_record:
-        ratio = 1.0 / product.share
-    elif product.divisor >= RULES.multiple:
-        ratio = product.divisor
-    factor = max(ratio, 1.0 / ratio)
-    likely = [
-        (abs(math.log(slip / factor)), f"{slip:.4g} ({text})") for slip, text, of in _SLIPS if of == is_record
-    ]
-    nearest = min(likely)[0]
-    slips = " or ".join(
-        text for distance, text in likely if distance <= max(nearest, math.log(RULES.slip_range))
-    )
-    blamed = (
-        f"the irradiance record, which has {product.share:.2g} of a clear sky's light"
-        if is_record
-        else "the gain of the calibration, the exposure time, the bit depth or the irradiance"
-    )
-    return f": likely {blamed}, by a factor of about {factor:.2g}; known slips of this size: {slips}"
 
 
 def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
@@ -1138,7 +1138,13 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
     size = counts.shape[axis]
     count = min(size, 4 + FRAME_RULES.samples // width)
     centre = slice((size - count) // 2, (size + count) // 2)  # contiguous in the file: one read a line
-    equal_shares = _equal_shares(counts.isel({counts.dims[axis]: centre}), FRAME_RULES.block)
+    rows = counts.isel({counts.dims[axis]: centre})
+    # Share of samples that are equal to the line before, (along_track - 1,)
+    shares: list[Array] = []
+    for start in range(0, rows.shape[0] - 1, FRAME_RULES.block):
+        values = rows[start : start + FRAME_RULES.block + 1].to_numpy()
+        shares.append((values[1:] == values[:-1]).mean(axis=(1, 2)))
+    equal_shares = np.concatenate(shares) if shares else np.zeros(0)
     equal_shares = equal_shares[recorded[1:] & recorded[:-1]]
     doubled = equal_shares == 1.0
     if not doubled.any():
@@ -1154,15 +1160,6 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
         f"{int(doubled.sum())} of {lines} lines are bit for bit the line before, the first is line {first}",
         f"noise: in all other lines at most {100 * max_share:.3g} % of the samples equal the line before",
     )
-
-
-def _equal_shares(rows: xr.DataArray, block: int) -> Floats:
-    # Share of samples that are equal to the line before, (along_track - 1,)
-    shares: list[Array] = []
-    for start in range(0, rows.shape[0] - 1, block):
-        values = rows[start : start + block + 1].to_numpy()
-        shares.append((values[1:] == values[:-1]).mean(axis=(1, 2)))
-    return np.concatenate(shares) if shares else np.zeros(0)
 
 
 # -- Check interleave and byte order of a cube by the smoothness of its spectra.

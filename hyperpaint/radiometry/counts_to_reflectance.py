@@ -433,7 +433,25 @@ def _gain_variables(
     # light on the tile of every band, over that of the first white; bands without light keep 1
     totals = np.nansum(rates, axis=2)
     level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
-    _check_change(rates, level, is_timed=is_timed)
+    # Check the change of the light (white, band) between white references, and whether columns share it.
+    change = float(np.nanmax(np.nanmedian(np.abs(level - 1.0), axis=1)))
+    SchemaError.raise_if(
+        change > UNSTABLE_CHANGE and not is_timed,
+        f"the light on the white references changes by {100 * change:.3g} %, and times of white or scene are "
+        "unknown",
+        expected=f"times, or a change of at most {100 * UNSTABLE_CHANGE:g} %",
+        mend="give scene and white a coordinate time, or name one white reference",
+        code="white-times-missing",
+    )
+    lit = np.isfinite(rates[0]).any(axis=0)
+    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
+    column_change = float(np.abs(columns - 1.0).max())
+    if column_change > MAX_COLUMN_CHANGE:
+        warn_user(
+            f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
+            "that of the other columns: tile or lamp have moved; name the white references of this setup",
+            "white-moved",
+        )
     rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
     variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
     variance = variances.sum(axis=0) / len(whites) ** 2
@@ -461,28 +479,6 @@ def _gain_variables(
         name: label(xr.DataArray(array, dims=dims).astype(dtype_of(name)), name)
         for name, (dims, array) in values.items()
     }
-
-
-def _check_change(rates: Floats, level: Floats, *, is_timed: bool) -> None:
-    # Check the change of the light (white, band) between white references, and whether columns share it.
-    change = float(np.nanmax(np.nanmedian(np.abs(level - 1.0), axis=1)))
-    SchemaError.raise_if(
-        change > UNSTABLE_CHANGE and not is_timed,
-        f"the light on the white references changes by {100 * change:.3g} %, and times of white or scene are "
-        "unknown",
-        expected=f"times, or a change of at most {100 * UNSTABLE_CHANGE:g} %",
-        mend="give scene and white a coordinate time, or name one white reference",
-        code="white-times-missing",
-    )
-    lit = np.isfinite(rates[0]).any(axis=0)
-    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
-    column_change = float(np.abs(columns - 1.0).max())
-    if column_change > MAX_COLUMN_CHANGE:
-        warn_user(
-            f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
-            "that of the other columns: tile or lamp have moved; name the white references of this setup",
-            "white-moved",
-        )
 
 
 def _tile_of_bands(

@@ -183,7 +183,52 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     else:
         dataset = rename_to_roles(dataset)
         points, floor, source = _line_points(dataset, repeated)
-    estimate = _labelled(_fit_transfer(points), points, floor, source)
+    # slope and intercept of the photon transfer, their covariance, and the used points
+    from scipy.stats import chi2
+
+    is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
+    SchemaError.raise_if(
+        is_valid.sum() < MIN_VARIANCES,
+        f"noise cannot be estimated from {is_valid.sum()} variances",
+        expected=f"{MIN_VARIANCES} or more",
+        code="noise-not-estimable",
+    )
+    slope, height = _first_guess(points, is_valid, np.broadcast_to(points.freedom, is_valid.shape))
+    edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
+    # mean of the values below the edge relative to the mean of all values
+    truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
+    # neighbouring bands share two thirds of their contrast
+    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(is_valid.sum(axis=1), 1)))
+    is_used = is_valid
+    for _ in range(8):
+        model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
+        ratio = np.where(is_valid, points.variance / model, np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
+            block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
+        is_used = is_valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
+        SchemaError.raise_if(
+            is_used.sum() < MIN_VARIANCES,
+            "noise cannot be estimated, since no block is homogeneous",
+            mend="pass repeated frames, or a lab sweep",
+            code="noise-not-estimable",
+        )
+        previous_slope = slope
+        slope, height, covariance = _solve_with_jackknife(
+            points, is_used, model * truncated_mean, points.variance / truncated_mean
+        )
+        if abs(slope - previous_slope) < 1e-4 * abs(slope):
+            break
+    low, high = np.percentile(points.by_signal[is_used] / points.by_floor[is_used], [1, 99])
+    error = np.sqrt(covariance[0, 0])
+    SchemaError.raise_if(
+        not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U),
+        f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
+        f"{slope:.3g} +- {error:.2g} counts of variance a count",
+        mend="take a line with dark and bright surfaces, or repeated frames of several levels",
+        code="electrons-uncertain",
+    )
+    estimate = _labelled((slope, height, covariance, is_used), points, floor, source)
     if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
         record = require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
         noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
@@ -249,7 +294,42 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
         points = _VariancePoints(variance, signal, np.ones_like(signal), np.full((1, 1), freedom))
         source = "repeated frames"
     else:
-        points, source = _block_points(block_cube), "blocks of a flight, texture taken out over bands"
+        # Variances (block x column, band) of bands relative to their neighbours.
+        # `cube` is (block, line, band, column). Bands whose signal is uncertain by noise are left out.
+        mean = block_cube.mean(axis=1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
+            total = np.nansum(np.where(np.isfinite(mean)[:, None], block_cube, np.nan), axis=2)
+            is_even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
+        mean[~(is_even[:, None] & (mean > 0))] = np.nan
+        # spread of a count in the darkest tenth of the samples [count]
+        valid, dark_noise = np.isfinite(mean), 0.0
+        if valid.any():
+            is_darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
+            dark_noise = float(np.sqrt(np.median(block_cube.var(axis=1, ddof=1)[is_darkest])))
+        mean[mean < MIN_SIGNAL_SD * dark_noise] = np.nan
+        # contrast of a band with its neighbours, relative to their signals
+        relative = (block_cube - mean[:, None]) / mean[:, None]
+        mean_inside = mean[:, 1:-1]
+        contrast = relative[:, :, 1:-1] - 0.5 * (relative[:, :, :-2] + relative[:, :, 2:])
+        freedom = block_cube.shape[1] - 1.0
+        variance = mean_inside**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
+        ratios = [(mean_inside / neighbour).astype(np.float64) for neighbour in (mean[:, :-2], mean[:, 2:])]
+        is_similar = np.ones(mean_inside.shape, bool)
+        for ratio in ratios:
+            # noise of a much weaker neighbour would exceed noise of the band
+            is_similar &= (ratio > 0.5) & (ratio < 2.0)
+        by_signal = mean_inside * (1.0 + 0.25 * (ratios[0] + ratios[1]))
+        values = (
+            np.where(is_similar, variance, np.nan),
+            by_signal,
+            1.0 + 0.25 * (ratios[0] ** 2 + ratios[1] ** 2),
+        )
+        variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
+        points, source = (
+            _VariancePoints(variances, signals, floors, np.full((1, 1), freedom)),
+            "blocks of a flight, texture taken out over bands",
+        )
     quantisation = QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
@@ -276,92 +356,7 @@ def _by_band(array: Array) -> Array:
     return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
 
 
-def _block_points(cube: Array) -> _VariancePoints:
-    # Return variances (block x column, band) of bands relative to their neighbours.
-    # `cube` is (block, line, band, column). Bands whose signal is uncertain by noise are left out.
-    mean = cube.mean(axis=1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
-        total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
-        is_even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
-    mean[~(is_even[:, None] & (mean > 0))] = np.nan
-    # spread of a count in the darkest tenth of the samples [count]
-    valid, dark_noise = np.isfinite(mean), 0.0
-    if valid.any():
-        is_darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
-        dark_noise = float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[is_darkest])))
-    mean[mean < MIN_SIGNAL_SD * dark_noise] = np.nan
-    # contrast of a band with its neighbours, relative to their signals
-    relative = (cube - mean[:, None]) / mean[:, None]
-    mean_inside = mean[:, 1:-1]
-    contrast = relative[:, :, 1:-1] - 0.5 * (relative[:, :, :-2] + relative[:, :, 2:])
-    freedom = cube.shape[1] - 1.0
-    variance = mean_inside**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
-    ratios = [(mean_inside / neighbour).astype(np.float64) for neighbour in (mean[:, :-2], mean[:, 2:])]
-    is_similar = np.ones(mean_inside.shape, bool)
-    for ratio in ratios:
-        # noise of a much weaker neighbour would exceed noise of the band
-        is_similar &= (ratio > 0.5) & (ratio < 2.0)
-    by_signal = mean_inside * (1.0 + 0.25 * (ratios[0] + ratios[1]))
-    values = (
-        np.where(is_similar, variance, np.nan),
-        by_signal,
-        1.0 + 0.25 * (ratios[0] ** 2 + ratios[1] ** 2),
-    )
-    variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
-    return _VariancePoints(variances, signals, floors, np.full((1, 1), freedom))
-
-
 # --- fitting the line
-
-
-def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]:
-    # Return slope and intercept of the photon transfer, their covariance, and which points are used.
-    from scipy.stats import chi2
-
-    is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
-    SchemaError.raise_if(
-        is_valid.sum() < MIN_VARIANCES,
-        f"noise cannot be estimated from {is_valid.sum()} variances",
-        expected=f"{MIN_VARIANCES} or more",
-        code="noise-not-estimable",
-    )
-    slope, height = _first_guess(points, is_valid, np.broadcast_to(points.freedom, is_valid.shape))
-    edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
-    # mean of the values below the edge relative to the mean of all values
-    truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
-    # neighbouring bands share two thirds of their contrast
-    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(is_valid.sum(axis=1), 1)))
-    is_used = is_valid
-    for _ in range(8):
-        model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
-        ratio = np.where(is_valid, points.variance / model, np.nan)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
-            block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        is_used = is_valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
-        SchemaError.raise_if(
-            is_used.sum() < MIN_VARIANCES,
-            "noise cannot be estimated, since no block is homogeneous",
-            mend="pass repeated frames, or a lab sweep",
-            code="noise-not-estimable",
-        )
-        previous_slope = slope
-        slope, height, covariance = _solve_with_jackknife(
-            points, is_used, model * truncated_mean, points.variance / truncated_mean
-        )
-        if abs(slope - previous_slope) < 1e-4 * abs(slope):
-            break
-    low, high = np.percentile(points.by_signal[is_used] / points.by_floor[is_used], [1, 99])
-    error = np.sqrt(covariance[0, 0])
-    SchemaError.raise_if(
-        not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U),
-        f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
-        f"{slope:.3g} +- {error:.2g} counts of variance a count",
-        mend="take a line with dark and bright surfaces, or repeated frames of several levels",
-        code="electrons-uncertain",
-    )
-    return slope, height, covariance, is_used
 
 
 def _first_guess(points: _VariancePoints, valid: Bools, freedom: Floats) -> tuple[float, float]:
@@ -776,63 +771,59 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
     try:
         arrays = require(line, required, "errors of a region")
         values = dict(zip(arrays, dask.compute(*(array.values for array in arrays.values())), strict=True))
-        return _line_errors(line, values)
+        shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
+        stated = line[UNCERTAINTIES[1]].attrs
+
+        def of(name: str) -> Floats:
+            return np.broadcast_to(element_rows(values.get(name, 0.0), shape), shape)
+
+        is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
+        floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
+        masked = stated.get(MASKED, 0)  # of the whole line, of which this may be a part
+        if MASKED not in stated and "masked" in line.variables:
+            masked = masked_elements(line)
+        common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
+        sources = {name: of(variable) for name, variable in common.items() if variable in values}
+        if "irradiance_u_systematic" in values:
+            channels = line[IRRADIANCE_WAVELENGTH].values
+            band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
+            sources["irradiance"] = np.broadcast_to(band_values[:, None], shape)
+        if "panel_scale_u" in line.variables:
+            sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
+        elif PANEL_U in stated:
+            sources["panel"] = np.broadcast_to(element_rows(stated[PANEL_U], shape), shape)
+        # weights of the darks in every line
+        names = ("time", "dark_time", "dark_exposure_time")
+        times = {name: line[name].values for name in names if name in line.variables}
+        count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
+        exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
+        # a cube with a white reference may lack wavelengths, and has no uncertainty of them then
+        wavelength = np.asarray(
+            line["wavelength"] if "wavelength" in line.variables else np.full(shape[0], np.nan)
+        )
+        wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
+        return LineErrors(
+            per_electron=1.0 / of("electrons_per_count"),
+            noise_floor=floor,
+            is_integer=is_integer,
+            read_noise=of("read_noise"),
+            dark=of("dark_counts_u_random"),
+            dark_weights=dark_weights(times, count, exposure),
+            # a line has one of both
+            gain_of_elements=of("radiance_gain_u_random") + of("reflectance_gain_u_random"),
+            common=sources,
+            dark_offset=of("dark_counts_u_systematic"),
+            pedestal_variance=float(np.nanmean(floor + of("dark_counts_u_random") ** 2)) / masked
+            if masked
+            else 0.0,
+            wavelength_u=wavelength_u,
+            wavelength=wavelength.astype(np.float64),
+            light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
+            stray_light=_stray_light_errors(line),
+        )
     except (SchemaError, ValueError):
         # bands or record were cut afterwards and do not fit the matrices
         return None
-
-
-def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
-    shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
-    attrs = line[UNCERTAINTIES[1]].attrs
-
-    def of(name: str) -> Floats:
-        return np.broadcast_to(element_rows(values.get(name, 0.0), shape), shape)
-
-    is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
-    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
-    masked = attrs.get(MASKED, 0)  # of the whole line, of which this may be a part
-    if MASKED not in attrs and "masked" in line.variables:
-        masked = masked_elements(line)
-    common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
-    sources = {name: of(variable) for name, variable in common.items() if variable in values}
-    if "irradiance_u_systematic" in values:
-        channels = line[IRRADIANCE_WAVELENGTH].values
-        band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
-        sources["irradiance"] = np.broadcast_to(band_values[:, None], shape)
-    if "panel_scale_u" in line.variables:
-        sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
-    elif PANEL_U in attrs:
-        sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
-    # weights of the darks in every line
-    names = ("time", "dark_time", "dark_exposure_time")
-    times = {name: line[name].values for name in names if name in line.variables}
-    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
-    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
-    # a cube with a white reference may lack wavelengths, and has no uncertainty of them then
-    wavelength = np.asarray(
-        line["wavelength"] if "wavelength" in line.variables else np.full(shape[0], np.nan)
-    )
-    wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
-    return LineErrors(
-        per_electron=1.0 / of("electrons_per_count"),
-        noise_floor=floor,
-        is_integer=is_integer,
-        read_noise=of("read_noise"),
-        dark=of("dark_counts_u_random"),
-        dark_weights=dark_weights(times, count, exposure),
-        # a line has one of both
-        gain_of_elements=of("radiance_gain_u_random") + of("reflectance_gain_u_random"),
-        common=sources,
-        dark_offset=of("dark_counts_u_systematic"),
-        pedestal_variance=float(np.nanmean(floor + of("dark_counts_u_random") ** 2)) / masked
-        if masked
-        else 0.0,
-        wavelength_u=wavelength_u,
-        wavelength=wavelength.astype(np.float64),
-        light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
-        stray_light=_stray_light_errors(line),
-    )
 
 
 def _stray_light_errors(line: xr.Dataset) -> Floats | None:

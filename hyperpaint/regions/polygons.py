@@ -635,11 +635,7 @@ def _region(feature: Any) -> Region:
         )
     name, flightline = properties.pop(key), properties.pop("flightline", None)
     properties.pop("name", None)  # without a value
-    polygon, *holes = _rings(feature.get("geometry"), name)
-    return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
-
-
-def _rings(geometry: Any, name: Any) -> list[Any]:
+    geometry = feature.get("geometry")
     members = geometry if isinstance(geometry, Mapping) else {}
     geometry_type, rings = members.get("type"), members.get("coordinates")
     subject = f"region {str(name)[:80]!r} has a geometry of type {str(geometry_type)[:40]!r}"
@@ -669,7 +665,8 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
                 f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
             )
     # a third coordinate, the height, is ignored
-    return [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
+    polygon, *holes = [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
+    return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
 
 
 # --- polygons of GeoPackage, Shapefile and FlatGeobuf, as GeoJSON ------------------------------------------

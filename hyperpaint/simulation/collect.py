@@ -1046,46 +1046,6 @@ def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
         rising.append((height, begin))
 
 
-def write_references(flight: Flight, folder: Path) -> None:
-    # write a file of both spectrometers for every paint of the cars in view, named after the paint.
-    # The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
-    settings = flight.settings
-    svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
-    for directory in (svc, asd):
-        directory.mkdir()
-    nm = svc_wavelengths()
-    grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
-    light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
-    # radiance of the white panel, then of the paints
-    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.measured_paints, grid)])
-    svc_spectra = np.concatenate(
-        [convolve_gaussian(spectra, grid, detector.wavelength, detector.fwhm) for detector in SVC_DETECTORS],
-        axis=1,
-    )
-    asd_spectra = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
-    zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
-    for index, paint in enumerate(map(flight.name_of, flight.measured_paints), 1):
-        panel = start - _LEAD_S + _PAINT_S * index
-        target = panel + _PANEL_S
-        write_svc(
-            svc / f"{paint}.sig",
-            svc_spectra[0],
-            svc_spectra[index],
-            stamps=(panel, target),
-            utc_offset=zone,
-            position=ORIGIN[:2],
-            sun=settings.sun,
-        )
-        write_asd_reflectance(
-            asd / f"{paint}.asd",
-            asd_spectra[index],
-            asd_spectra[0],
-            stamp=target,
-            utc_offset=zone,
-            reference_stamp=panel,
-        )
-
-
 #: File of surveyed points of the pavement, as from a GNSS receiver on a pole.
 SURVEY = "survey.csv"
 
@@ -1213,7 +1173,41 @@ def simulate_collect(
             utc_offset=round(settings.utc_offset_h * 3600),
             reference_stamp=int(samples.stamp[0]) - 600,  # taken ten minutes before the flight
         )
-    write_references(flight, root)
+    # a file of both spectrometers for every paint of the cars in view, named after the paint
+    svc, asd = root / SVC_FOLDER, root / ASD_FOLDER
+    for directory in (svc, asd):
+        directory.mkdir()
+    nm = svc_wavelengths()
+    grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
+    light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
+    # radiance of the white panel, then of the paints
+    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.measured_paints, grid)])
+    svc_spectra = np.concatenate(
+        [convolve_gaussian(spectra, grid, detector.wavelength, detector.fwhm) for detector in SVC_DETECTORS],
+        axis=1,
+    )
+    asd_spectra = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
+    zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
+    for index, paint in enumerate(map(flight.name_of, flight.measured_paints), 1):
+        panel = start - _LEAD_S + _PAINT_S * index
+        scan = panel + _PANEL_S
+        write_svc(
+            svc / f"{paint}.sig",
+            svc_spectra[0],
+            svc_spectra[index],
+            stamps=(panel, scan),
+            utc_offset=zone,
+            position=ORIGIN[:2],
+            sun=settings.sun,
+        )
+        write_asd_reflectance(
+            asd / f"{paint}.asd",
+            asd_spectra[index],
+            asd_spectra[0],
+            stamp=scan,
+            utc_offset=zone,
+            reference_stamp=panel,
+        )
     write_calibration(flight, root / "calibration.zarr")
     if lab is not None:
         (root / "lab").mkdir()

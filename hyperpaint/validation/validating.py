@@ -1032,6 +1032,15 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
         }
         mirror = attributes["mirror_reflection"] or attributes["specular_component"]
         count = dataset["n"].values[number] if "n" in dataset.variables and dataset["n"].dims else None
+        # Error bits of the scans, as the instrument recorded them
+        errors = []
+        for scan in ("target", "reference"):
+            key = f"error_{scan}"
+            if key in dataset.variables and dataset[key].dims in (("spectrum",), ()):
+                bits = int(np.ravel(dataset[key].values)[number if dataset[key].dims else 0])
+                if bits > 0:
+                    panel = " of the white panel" if scan == "reference" else ""
+                    errors.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
         yield channels.spectrum(
             spectrum,
             {name: array[number] for name, array in spreads.items()},
@@ -1040,7 +1049,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             reference_name="",
             instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
-            notes=(*channels.notes, *_instrument_errors(dataset, number)),
+            notes=(*channels.notes, *errors),
             **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
@@ -1099,19 +1108,6 @@ def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
         return bool(dataset.attrs.get(key, False))
     array = dataset[key]
     return bool(array.values[number] if array.dims == ("spectrum",) else array.values.any())
-
-
-def _instrument_errors(dataset: xr.Dataset, number: int) -> list[str]:
-    # Error bits of the scans, as the instrument recorded them
-    errors = []
-    for scan in ("target", "reference"):
-        key = f"error_{scan}"
-        if key in dataset.variables and dataset[key].dims in (("spectrum",), ()):
-            bits = int(np.ravel(dataset[key].values)[number if dataset[key].dims else 0])
-            if bits > 0:
-                panel = " of the white panel" if scan == "reference" else ""
-                errors.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
-    return errors
 
 
 def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
@@ -1309,18 +1305,6 @@ class Operator:
             values[..., channels] @ self.weights[np.ix_(self.is_covered, channels)].T
         )
         return on_bands
-
-
-def bands_of(signature: Measured, references: list[Measured]) -> Measured:
-    # Return the spectrum whose channels are the common bands: the coarser one.
-    # This is the signature, unless every reference is coarser in the common range.
-    low, high = signature.wavelength[[0, -1]]
-    widths = []
-    for reference in references:
-        in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
-        widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
-    is_coarser = min(widths) > _MAX_EQUAL_WIDTH_RATIO * np.median(signature.fwhm)
-    return references[0] if is_coarser else signature
 
 
 def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
@@ -1790,7 +1774,16 @@ def compare(pair: Pair, seed: int) -> Compared:
         pair = replace(
             pair, references=tuple(as_body(reference, pair.signature) for reference in pair.references)
         )
-    bands = bands_of(pair.signature, list(pair.references))
+    references = list(pair.references)
+    # The common bands are the channels of the coarser spectrum.
+    # This is the signature, unless every reference is coarser in the common range.
+    low, high = pair.signature.wavelength[[0, -1]]
+    widths = []
+    for reference in references:
+        in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
+        widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
+    is_coarser = min(widths) > _MAX_EQUAL_WIDTH_RATIO * np.median(pair.signature.fwhm)
+    bands = references[0] if is_coarser else pair.signature
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
     resampled = list(zip(operators[:-1], pair.references, strict=True))
     readings = np.stack([resample(reading.values) for resample, reading in resampled])

@@ -148,6 +148,14 @@ def opened_collect(
     collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> OpenedCollect:
     # Open a collect, as `open_collect` does, with its settings.
+    # calibrates a line by [reference]; the cubes of the white are read once
+    references: list[Reference] = []
+
+    def whiten(line: xr.Dataset, entry: WhiteEntry) -> xr.Dataset:
+        if not references:
+            references.extend(read_reference(path, Timing(), None, "white") for path in entry.cubes)
+        return white_reference(line, references, **entry.options)
+
     opened = open_with_settings(
         collect,
         need_irradiance=need_irradiance,
@@ -155,7 +163,7 @@ def opened_collect(
         calibrate=calibrate_sweep,
         mount=_with_geometry,
         level=level_irradiance,
-        whiten=_by_white(),
+        whiten=whiten,
     )
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
     panels_by_line: dict[str, list[dict[str, Any]]] = {}
@@ -172,18 +180,6 @@ def opened_collect(
     for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
     return opened
-
-
-def _by_white() -> Callable[[xr.Dataset, WhiteEntry], xr.Dataset]:
-    # Return a function that calibrates a line by [reference]; the cubes of the white are read once.
-    references: list[Reference] = []
-
-    def whiten(line: xr.Dataset, entry: WhiteEntry) -> xr.Dataset:
-        if not references:
-            references.extend(read_reference(path, Timing(), None, "white") for path in entry.cubes)
-        return white_reference(line, references, **entry.options)
-
-    return whiten
 
 
 def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:

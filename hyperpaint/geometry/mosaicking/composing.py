@@ -470,7 +470,88 @@ def mosaic(
         option="choose another --rule",
         code="variable-missing",
     )
-    return _composed_map(strips, shared.grid, rule, tile, levelling)
+    grid = shared.grid
+    # Longer sides begin at a chunk of a store. Tiles begin at whole multiples of their size on the map; if a
+    # mosaic of several tiles began between two chunks, every chunk would be written from up to four tiles,
+    # which stay in memory until then.
+    sides = [
+        (start - start % STORE_TILE if size > 2 * STORE_TILE else start, start + size)
+        for start, size in zip(grid.first, grid.shape, strict=True)
+    ]
+    (top, bottom), (left, right) = sides
+    grid = replace(grid, first=(top, left), shape=(bottom - top, right - left))
+    first = strips[0].map
+    starts = [start // tile for start in grid.first]
+    ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
+    tiles = _Tiles(strips, (starts[0], starts[1]), (ends[0] - starts[0], ends[1] - starts[1]), tile)
+    names_of_all = [str(name) for name in first.data_vars if name != "gap"]
+    flat = [name for name in names_of_all if first[name].ndim == 2]
+    planes = tiles.planes(rule, flat)
+    numbers = np.arange(len(strips), dtype=np.int16)
+    flags = {
+        "flag_values": numbers,
+        "flag_meanings": " ".join(strip.name.replace(" ", "_") for strip in strips),
+        "empty_value": int(NO_LINE),
+    }
+    planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
+        "flightline": (np.int16, "Flight line that shows a cell", flags),
+        "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
+        "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
+    }
+    layers: dict[str, Any] = {}
+    for name, (dtype, meaning, attrs) in planes_of_choice.items():
+        attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
+        layers[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
+    factors = None
+    if levelling is not None:
+        cubes = [name for name in names_of_all if name not in flat and first[name].ndim == 3]
+        missing = [name for name in LEVELLED_BY if name not in first.variables]
+        SchemaError.raise_if(
+            len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing,
+            f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
+            expected="one cube of floats, such as reflectance, with quality",
+            mend="give variables=",
+            code="variable-missing",
+        )
+        factors, interpolated = tiles.levelling(cubes[0])
+        attributes = {
+            "units": "1",
+            "long_name": "Factor of the spectra of a line, from its overlaps with others",
+        }
+        if interpolated.any():
+            # bands without usable overlaps, by line, numbered from 0
+            attributes["interpolated_bands"] = "; ".join(
+                f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
+                for strip, bands in zip(strips, interpolated, strict=True)
+                if bands.any()
+            )
+        layers["levelling_factor"] = (("source", BAND), factors, attributes)
+        layers["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
+    for name in names_of_all:
+        lazy = (
+            tiles.plane(planes, name, first[name].dtype)
+            if name in flat
+            else tiles.spectra(layers["flightline"][1], name, factors)
+        )
+        layers[name] = (first[name].dims, lazy, {**first[name].attrs, "grid_mapping": "spatial_ref"})
+    band_coordinates = {
+        name: coordinate.variable
+        for name, coordinate in first.coords.items()
+        if coordinate.dims == (BAND,)
+        and all(coordinate.variable.identical(s.map[name].variable) for s in strips)
+    }
+    attrs = {
+        key: value
+        for key, value in first.attrs.items()
+        if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
+    }
+    attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
+    attrs["flightlines"] = [strip.name for strip in strips]
+    tiled = xr.Dataset(layers, band_coordinates, attrs)
+    # cut the tiles to the extent of the lines
+    offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
+    rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
+    return tiled.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
 
 
 def _planes_of_tile(
@@ -594,92 +675,6 @@ class _Tiles:
             tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
         sources = [strip.map[variable].data.name for strip in self.strips]
         return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], (sources, factors), (bands,))
-
-
-def _composed_map(
-    strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None
-) -> xr.Dataset:
-    # Longer sides begin at a chunk of a store. Tiles begin at whole multiples of their size on the map; if a
-    # mosaic of several tiles began between two chunks, every chunk would be written from up to four tiles,
-    # which stay in memory until then.
-    sides = [
-        (start - start % STORE_TILE if size > 2 * STORE_TILE else start, start + size)
-        for start, size in zip(grid.first, grid.shape, strict=True)
-    ]
-    (top, bottom), (left, right) = sides
-    grid = replace(grid, first=(top, left), shape=(bottom - top, right - left))
-    first = strips[0].map
-    starts = [start // tile for start in grid.first]
-    ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
-    tiles = _Tiles(strips, (starts[0], starts[1]), (ends[0] - starts[0], ends[1] - starts[1]), tile)
-    names_of_all = [str(name) for name in first.data_vars if name != "gap"]
-    flat = [name for name in names_of_all if first[name].ndim == 2]
-    planes = tiles.planes(rule, flat)
-    numbers = np.arange(len(strips), dtype=np.int16)
-    flags = {
-        "flag_values": numbers,
-        "flag_meanings": " ".join(strip.name.replace(" ", "_") for strip in strips),
-        "empty_value": int(NO_LINE),
-    }
-    planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
-        "flightline": (np.int16, "Flight line that shows a cell", flags),
-        "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
-        "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
-    }
-    variables: dict[str, Any] = {}
-    for name, (dtype, meaning, attrs) in planes_of_choice.items():
-        attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
-        variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
-    factors = None
-    if levelling is not None:
-        cubes = [name for name in names_of_all if name not in flat and first[name].ndim == 3]
-        missing = [name for name in LEVELLED_BY if name not in first.variables]
-        SchemaError.raise_if(
-            len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing,
-            f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
-            expected="one cube of floats, such as reflectance, with quality",
-            mend="give variables=",
-            code="variable-missing",
-        )
-        factors, interpolated = tiles.levelling(cubes[0])
-        attributes = {
-            "units": "1",
-            "long_name": "Factor of the spectra of a line, from its overlaps with others",
-        }
-        if interpolated.any():
-            # bands without usable overlaps, by line, numbered from 0
-            attributes["interpolated_bands"] = "; ".join(
-                f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
-                for strip, bands in zip(strips, interpolated, strict=True)
-                if bands.any()
-            )
-        variables["levelling_factor"] = (("source", BAND), factors, attributes)
-        variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
-    for name in names_of_all:
-        lazy = (
-            tiles.plane(planes, name, first[name].dtype)
-            if name in flat
-            else tiles.spectra(variables["flightline"][1], name, factors)
-        )
-        variables[name] = (first[name].dims, lazy, {**first[name].attrs, "grid_mapping": "spatial_ref"})
-    band_coordinates = {
-        name: coordinate.variable
-        for name, coordinate in first.coords.items()
-        if coordinate.dims == (BAND,)
-        and all(coordinate.variable.identical(s.map[name].variable) for s in strips)
-    }
-    attrs = {
-        key: value
-        for key, value in first.attrs.items()
-        if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
-    }
-    attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
-    attrs["flightlines"] = [strip.name for strip in strips]
-    tiled = xr.Dataset(variables, band_coordinates, attrs)
-    # cut the tiles to the extent of the lines
-    offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
-    rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
-    return tiled.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
 
 
 def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from hyperpaint.base import (
     STEP,
     SWEEP_VARIABLES,
     VARIABLES,
-    Array,
     Floats,
     FormatError,
     PaintError,
@@ -409,35 +408,32 @@ def open_calibration(
         calibration = check_calibration(_read(source, group, "calibration", load), str(source))
     if bad_elements is not None:
         gain = calibration["radiance_gain"]
-        bad = _bad_elements(input_path(bad_elements, "a list of bad elements"), gain.shape)
+        path = input_path(bad_elements, "a list of bad elements")
+        shape = gain.shape
+        # whether the elements (band, cross_track) are in the list
+        if path.suffix.lower() == ".csv":
+            rows = read_limited_text(path, _MAX_BYTES, "a table of bad elements").splitlines()
+            try:
+                places = np.loadtxt(rows, np.int64, delimiter=",", skiprows=1, usecols=(0, 1), ndmin=2)
+            except ValueError as error:
+                raise FormatError(
+                    f"{path}: {error}", expected="numbers of band and column", code="file-unreadable"
+                ) from error
+            sizes, is_fitting = places.max(axis=0, initial=-1) + 1, ((places >= 0) & (places < shape)).all()
+            bad = np.zeros(shape, bool)
+            if is_fitting:
+                bad[tuple(places.T)] = True
+        else:
+            bad = np.squeeze(open_envi(path, quantity="values")["values"].to_numpy()) != 0
+            sizes, is_fitting = np.array(bad.shape), bad.shape == shape
+        SchemaError.raise_if(
+            not is_fitting,
+            f"{path}: bad elements up to {tuple(sizes.tolist())}",
+            expected=f"bands and columns of the calibration, {shape}",
+            code="grid-mismatch",
+        )
         calibration["radiance_gain"] = gain.copy(data=np.where(bad, np.float32(np.nan), gain.values))
     return calibration
-
-
-def _bad_elements(path: Path, shape: tuple[int, ...]) -> Array:
-    # Return whether the elements (band, cross_track) are in a list; see `open_calibration`.
-    if path.suffix.lower() == ".csv":
-        rows = read_limited_text(path, _MAX_BYTES, "a table of bad elements").splitlines()
-        try:
-            places = np.loadtxt(rows, np.int64, delimiter=",", skiprows=1, usecols=(0, 1), ndmin=2)
-        except ValueError as error:
-            raise FormatError(
-                f"{path}: {error}", expected="numbers of band and column", code="file-unreadable"
-            ) from error
-        sizes, is_fitting = places.max(axis=0, initial=-1) + 1, ((places >= 0) & (places < shape)).all()
-        bad = np.zeros(shape, bool)
-        if is_fitting:
-            bad[tuple(places.T)] = True
-    else:
-        bad = np.squeeze(open_envi(path, quantity="values")["values"].to_numpy()) != 0
-        sizes, is_fitting = np.array(bad.shape), bad.shape == shape
-    SchemaError.raise_if(
-        not is_fitting,
-        f"{path}: bad elements up to {tuple(sizes.tolist())}",
-        expected=f"bands and columns of the calibration, {shape}",
-        code="grid-mismatch",
-    )
-    return bad
 
 
 def _read(

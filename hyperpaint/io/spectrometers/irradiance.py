@@ -286,7 +286,41 @@ def _stored_series(path: Any) -> xr.Dataset:
             data = load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
         else:
             data = load_netcdf(input_path(path, "an irradiance series"))
-        return _series_of_hypernets(data)
+        # an irradiance product of HYPERNETS becomes a series; other data stay unchanged
+        dim = next((name for name in _HYPERNETS_DIMS if name in data.dims), None)
+        if dim is None or not {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables):
+            return data
+        stamps = data[_HYPERNETS_TIME].values
+        if stamps.dtype.kind != "M":
+            count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
+            FormatError.raise_if(
+                (np.abs(count) > _MAX_TIME_S).any(),
+                "'acquisition_time' is out of range",
+                expected="seconds from 1970",
+                code="time-unreadable",
+            )
+            is_known = np.isfinite(count)
+            nanoseconds = np.where(is_known, count * 1e9, 0.0).round().astype(np.int64)
+            stamps = np.where(is_known, nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns"))
+        is_good = ~np.isnat(stamps)
+        if _HYPERNETS_FLAG in data.variables:
+            is_good &= data[_HYPERNETS_FLAG].values == 0
+        if not is_good.all():
+            warn_user(
+                f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, "
+                "and are left out",
+                "samples-flagged",
+            )
+        data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
+        series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
+        series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims(
+            {dim: "time"}
+        )
+        if _HYPERNETS_WIDTH in data.variables:
+            series["irradiance_fwhm"] = (
+                data[_HYPERNETS_WIDTH].reset_coords(drop=True).assign_attrs(units="nm")
+            )
+        return series.sortby("time")
     except IncompleteStoreError:
         raise
     except Exception as error:  # damaged files make h5py and xarray raise errors of many classes
@@ -294,39 +328,6 @@ def _stored_series(path: Any) -> xr.Dataset:
             f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
             code="file-unreadable",
         ) from error
-
-
-def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    # Return an irradiance product of HYPERNETS as a series, and other data unchanged.
-    dim = next((name for name in _HYPERNETS_DIMS if name in data.dims), None)
-    if dim is None or not {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables):
-        return data
-    stamps = data[_HYPERNETS_TIME].values
-    if stamps.dtype.kind != "M":
-        count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
-        FormatError.raise_if(
-            (np.abs(count) > _MAX_TIME_S).any(),
-            "'acquisition_time' is out of range",
-            expected="seconds from 1970",
-            code="time-unreadable",
-        )
-        is_known = np.isfinite(count)
-        nanoseconds = np.where(is_known, count * 1e9, 0.0).round().astype(np.int64)
-        stamps = np.where(is_known, nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns"))
-    is_good = ~np.isnat(stamps)
-    if _HYPERNETS_FLAG in data.variables:
-        is_good &= data[_HYPERNETS_FLAG].values == 0
-    if not is_good.all():
-        warn_user(
-            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out",
-            "samples-flagged",
-        )
-    data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
-    series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
-    series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
-    if _HYPERNETS_WIDTH in data.variables:
-        series["irradiance_fwhm"] = data[_HYPERNETS_WIDTH].reset_coords(drop=True).assign_attrs(units="nm")
-    return series.sortby("time")
 
 
 # --- the series --------------------------------------------------------------------------------------------
@@ -539,7 +540,36 @@ def open_irradiance(
         values, found = judge_record(series.wavelength, times[order], values, clipped)
         warn_of_faults(found)
         faults = "\n".join(f"{fault.code}: {fault.found}" for fault in found)
-    _check_magnitude(series.wavelength, values)
+    # Refuse a series whose magnitude is impossible for daylight, as with wrong units.
+    first, last = series.wavelength[0], series.wavelength[-1]
+    UnitsError.raise_if(
+        last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1],
+        f"wavelengths from {first:g} to {last:g} nm, where there is no sunlight",
+        mend="convert micrometres, angstroms or wavenumbers to nanometres",
+        code="wavelength-range",
+    )
+    brightest = brightest_median(series.wavelength, values)
+    slip = unit_slip(brightest)
+    median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
+    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
+        warn_user(
+            f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
+            "irradiance-dim",
+        )
+    if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
+        direction = (
+            f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
+            if brightest > HIGHEST_MEDIAN
+            else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
+        )
+        raise UnitsError(
+            f"{median}, {direction}",
+            mend=(
+                f"check for other units ({slip or 'uW labelled as W?'}) or another quantity, such as counts; "
+                "pass units=, or convert the values"
+            ),
+            code="irradiance-implausible",
+        )
     dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
     if uncertainty_s is not None:
@@ -866,44 +896,6 @@ def _dataset(
             "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "given by the user",
         },
     )
-
-
-def _check_magnitude(wavelength: Floats, values: Floats) -> None:
-    # Refuse a series whose magnitude is impossible for daylight, as with wrong units.
-    # wavelength : (irradiance_wavelength,): [nm].
-    # values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
-    # Raises UnitsError: The brightest sample's median over 400-1000 nm is impossible for daylight; or the
-    #     wavelengths are outside sunlight.
-    # Warns PaintWarning: The brightest sample is as dim as before sunrise.
-    first, last = wavelength[0], wavelength[-1]
-    UnitsError.raise_if(
-        last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1],
-        f"wavelengths from {first:g} to {last:g} nm, where there is no sunlight",
-        mend="convert micrometres, angstroms or wavenumbers to nanometres",
-        code="wavelength-range",
-    )
-    brightest = brightest_median(wavelength, values)
-    slip = unit_slip(brightest)
-    median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
-    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
-        warn_user(
-            f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
-            "irradiance-dim",
-        )
-    if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
-        direction = (
-            f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
-            if brightest > HIGHEST_MEDIAN
-            else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
-        )
-        raise UnitsError(
-            f"{median}, {direction}",
-            mend=(
-                f"check for other units ({slip or 'uW labelled as W?'}) or another quantity, such as counts; "
-                "pass units=, or convert the values"
-            ),
-            code="irradiance-implausible",
-        )
 
 
 class UncoveredError(TimeError):

@@ -732,7 +732,28 @@ def _coords_of_files(
         rows[f"error_{name}"] = (errors[:, scan], meaning)
     if is_ratio:
         meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
-        rows["column_difference"] = (_column_differences(files), meaning, "1")
+        # difference of each file's fourth column from the ratio, with a warning if it exceeds rounding
+        differences = np.full(len(files), np.nan)
+        contradictory = []
+        for number, file in enumerate(files):
+            with np.errstate(all="ignore"):
+                scan_ratio = file.target / file.reference
+                difference = np.abs(100.0 * scan_ratio - file.percent)
+                # the file rounds all numbers, of the scans and of the ratio
+                limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(scan_ratio)) / np.abs(file.reference))
+                is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                    np.isfinite(scan_ratio) & ~np.isfinite(file.percent)
+                )
+            differences[number] = max(difference[np.isfinite(difference)], default=np.nan) / 100.0
+            if is_contradictory.any():
+                contradictory.append(f"{file.name} ({np.count_nonzero(is_contradictory)} channels)")
+        warn_of(
+            "the reflectance in the file contradicts its two scans (edited or resampled?); "
+            "their ratio is used",
+            contradictory,
+            "reflectance-conflict",
+        )
+        rows["column_difference"] = (differences, meaning, "1")
     return {
         name: (
             "spectrum",
@@ -741,30 +762,6 @@ def _coords_of_files(
         )
         for name, (values, meaning, *units) in rows.items()
     }
-
-
-def _column_differences(files: Sequence[SvcFile]) -> Floats:
-    # Return the difference of each file's fourth column from the ratio; warn if it exceeds rounding.
-    differences = np.full(len(files), np.nan)
-    contradictory = []
-    for number, file in enumerate(files):
-        with np.errstate(all="ignore"):
-            scan_ratio = file.target / file.reference
-            difference = np.abs(100.0 * scan_ratio - file.percent)
-            # the file rounds all numbers, of the scans and of the ratio
-            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(scan_ratio)) / np.abs(file.reference))
-            is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
-                np.isfinite(scan_ratio) & ~np.isfinite(file.percent)
-            )
-        differences[number] = max(difference[np.isfinite(difference)], default=np.nan) / 100.0
-        if is_contradictory.any():
-            contradictory.append(f"{file.name} ({np.count_nonzero(is_contradictory)} channels)")
-    warn_of(
-        "the reflectance in the file contradicts its two scans (edited or resampled?); their ratio is used",
-        contradictory,
-        "reflectance-conflict",
-    )
-    return differences
 
 
 def _coords_of_scans(

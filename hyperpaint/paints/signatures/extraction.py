@@ -1113,10 +1113,19 @@ def paint_library(
     library = library.set_coords(
         [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
     )
+    # Columns (signature,) of the properties that can be coordinates: numbers, else text
+    names = dict.fromkeys(name for region in regions for name in region.properties)
+    reserved = {*LIBRARY_VARIABLES, BAND, "member"}
+    usable = [name for name in names if name.isidentifier() and name not in reserved and name[:2] != "__"]
     library = library.assign_coords(
         {
             name: (SIGNATURE, column, {"long_name": f"Property {name} of the regions"})
-            for name, column in _properties(regions).items()
+            for name, column in (
+                {
+                    name: _column([region.properties.get(name) for region in regions])
+                    for name in usable[:MAX_PROPERTIES]
+                }
+            ).items()
         }
     )
     # attributes of corrections prevent a second correction
@@ -1166,16 +1175,6 @@ def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
     quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in quantities)
     word = INCLUDED if quantity == OUTSIDE else MIRROR_EXCLUDED
     return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
-
-
-def _properties(regions: Regions) -> dict[str, Array]:
-    # Columns (signature,) of the properties that can be coordinates: numbers, else text
-    names = dict.fromkeys(name for region in regions for name in region.properties)
-    reserved = {*LIBRARY_VARIABLES, BAND, "member"}
-    usable = [name for name in names if name.isidentifier() and name not in reserved and name[:2] != "__"]
-    return {
-        name: _column([region.properties.get(name) for region in regions]) for name in usable[:MAX_PROPERTIES]
-    }
 
 
 def _column(values: Sequence[Any]) -> Array:
