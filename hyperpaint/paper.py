@@ -207,9 +207,11 @@ def spectral_responsivity(
     """
     arguments = counts, dark, flux, exposure
     per_watt = (_amount(counts, "count") - _amount(dark, "count")) / _amount(flux, "W")
-    if _is_corrected(variant):
-        return _result(per_watt / _amount(exposure, "s"), "count J-1", *arguments)
-    return _result(per_watt, "count W-1", *arguments)
+    return (
+        _result(per_watt / _amount(exposure, "s"), "count J-1", *arguments)
+        if _is_corrected(variant)
+        else _result(per_watt, "count W-1", *arguments)
+    )
 
 
 @dataclass(frozen=True)

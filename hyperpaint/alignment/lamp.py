@@ -51,9 +51,11 @@ _FIRST_LINES = 64
 def radiance_of_bands(dataset: xr.Dataset, used: Indices) -> xr.DataArray:
     # Return radiance of some bands on any scale, lazily; stray light is subtracted with all bands.
     dataset = dataset.assign_attrs(absolute_scale="not needed")  # wavelengths do not depend on the scale
-    if described(dataset.variables) is None:
-        return radiance(dataset.isel({BAND: used}))["radiance"]
-    return radiance(dataset)["radiance"].isel({BAND: used})
+    return (
+        radiance(dataset.isel({BAND: used}))["radiance"]
+        if described(dataset.variables) is None
+        else radiance(dataset)["radiance"].isel({BAND: used})
+    )
 
 
 def mean_over_lines(
@@ -256,9 +258,11 @@ class Declared:
         arrays = require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength, fwhm = values["wavelength"], values["fwhm"]
-        slope = None
-        if "radiance_gain" in values:
-            slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
+        slope = (
+            log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
+            if "radiance_gain" in values
+            else None
+        )
         max_gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
@@ -476,9 +480,11 @@ def _operator(spectrometer: Responses, imager: Responses, shifts: tuple[float, .
 
 def _widened(imager: Responses, factor: float) -> Responses:
     # Return responses of another width; the pixel width of a slit response does not change.
-    if imager.shape == "tabulated":
-        return replace(imager, offset=np.asarray(imager.offset) * factor)
-    return replace(imager, fwhm=imager.fwhm * factor)
+    return (
+        replace(imager, offset=np.asarray(imager.offset) * factor)
+        if imager.shape == "tabulated"
+        else replace(imager, fwhm=imager.fwhm * factor)
+    )
 
 
 def smooth_basis(wavelength: Floats, used: Bools, degree: int) -> tuple[Floats, Floats]:

@@ -722,9 +722,11 @@ class Fact:
             "time": "a date or time",
             "table": "a table of texts",
         }
-        if self.single:
-            return f"{phrases['number']}, or a list of {self.length or 'such'} numbers"
-        return phrases[self.kind]
+        return (
+            f"{phrases['number']}, or a list of {self.length or 'such'} numbers"
+            if self.single
+            else phrases[self.kind]
+        )
 
     def _range(self) -> str:
         low, high = (f"{end:g}" if isinstance(end, float) else str(end) for end in (self.least, self.most))

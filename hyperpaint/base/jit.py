@@ -181,8 +181,11 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
-    if numba.config.DISABLE_JIT:
-        return function
-    return cast(
-        "Function", _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})
+    return (
+        function
+        if numba.config.DISABLE_JIT
+        else cast(
+            "Function",
+            _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}),
+        )
     )

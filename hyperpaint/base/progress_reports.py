@@ -22,9 +22,11 @@ def part_of(progress: Progress | None, number: int, total: int) -> Progress | No
     >>> part_of(print, 1, 4)(5, 10)
     1500 4000
     """
-    if progress is None:
-        return None
-    return lambda done, steps: progress(1000 * number + 1000 * done // max(steps, 1), 1000 * total)
+    return (
+        None
+        if progress is None
+        else (lambda done, steps: progress(1000 * number + 1000 * done // max(steps, 1), 1000 * total))
+    )
 
 
 def as_progress(progress: Progress | bool | None, label: str) -> Progress | None:

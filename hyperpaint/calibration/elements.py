@@ -253,9 +253,11 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     )
     beam_centre, width, area, offset = fits.parameters[0]
     is_peak = fits.converged[0] and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
-    if is_peak and abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA):
-        return float(beam_centre), float(width)
-    return np.nan, np.nan
+    return (
+        (float(beam_centre), float(width))
+        if is_peak and abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA)
+        else (np.nan, np.nan)
+    )
 
 
 def fit_window(

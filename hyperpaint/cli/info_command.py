@@ -319,9 +319,12 @@ def _is_pose_table(path: Path) -> bool:
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
     head = head_of(path, _HEAD_BYTES)
-    if path.suffix.lower() == ".out":
-        return b"\0" in head
-    return is_nmea(head) or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))
+    return (
+        b"\0" in head
+        if path.suffix.lower() == ".out"
+        else is_nmea(head)
+        or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))
+    )
 
 
 def _poses(path: Path) -> Facts:

@@ -587,9 +587,11 @@ class Setting:
 
     def view_of(self, hypothesis: Hypothesis) -> View:
         # Return the look directions of the zones for an order of columns.
-        if hypothesis.convention.column_order != "right_to_left":
-            return self.view
-        return replace(self.view, right=-self.view.right, step=-self.view.step)
+        return (
+            self.view
+            if hypothesis.convention.column_order != "right_to_left"
+            else replace(self.view, right=-self.view.right, step=-self.view.step)
+        )
 
     @property
     def is_steady(self) -> Bools:

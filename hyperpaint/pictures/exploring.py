@@ -339,10 +339,9 @@ class Explored:
             expected="reflectance",
             code="variable-missing",
         )
-        if isinstance(place, Region):
-            along, across, step = self._region_pixels(place)
-        else:
-            along, across, step = *np.array(place).reshape(2, 1), 1
+        along, across, step = (
+            self._region_pixels(place) if isinstance(place, Region) else (*np.array(place).reshape(2, 1), 1)
+        )
         SchemaError.raise_if(
             along.size > _MAX_UNCERTAINTY_PIXELS or step > 1,
             f"{along.size} pixels",
@@ -1111,9 +1110,11 @@ class Explorer:
 
     def _update_pictures(self, *, base: bool = True) -> None:
         # update the lines in view; with ``base`` also the picture of the complete line behind them
-        recipe = self._state.recipes.get(self._widgets.recipe.value, ())
-        if self._widgets.recipe.value == _ONE_BAND:
-            recipe = (self._widgets.band.value,)
+        recipe = (
+            (self._widgets.band.value,)
+            if self._widgets.recipe.value == _ONE_BAND
+            else self._state.recipes.get(self._widgets.recipe.value, ())
+        )
         try:
             if base:
                 self._show_picture("base", self._state.picture(recipe, self._widgets.stretch.value))
@@ -1262,9 +1263,11 @@ class Explorer:
             text = f"uncertainty unknown: {uncertainty.splitlines()[-1].strip()}"
         else:
             u, text = uncertainty
-            colour = INK[self._theme]
-            if isinstance(self._selected, str):
-                colour = _colour(self._state.drawn.names.index(self._selected))
+            colour = (
+                _colour(self._state.drawn.names.index(self._selected))
+                if isinstance(self._selected, str)
+                else INK[self._theme]
+            )
             outline = band_around(spectrum.wavelength, spectrum.reflectance - u, spectrum.reflectance + u)
             self._show_rows("uncertainty", [{**outline, "colour": colour}])
         self._widgets.spectrum.object = (

@@ -291,9 +291,11 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
 def _mean_step(values: Array) -> float:
     # mean step between neighbours, from the first to the last finite value
     places = np.flatnonzero(np.isfinite(values))
-    if places.size < 2:
-        return float("nan")
-    return float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
+    return (
+        float("nan")
+        if places.size < 2
+        else float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
+    )
 
 
 def flown_right(picture: Array, orientation: Orientation) -> Array:

@@ -325,9 +325,11 @@ def _draw_exclusions(
     orientation = orientation_of(around)
     grey = colours.mean(axis=2, keepdims=True)
     picture = np.broadcast_to(0.35 + 0.5 * np.nan_to_num(grey), (*in_region.shape, 3)).copy()
-    bits = np.zeros(in_region.shape, np.uint16)
-    if "quality" in around.variables:
-        bits = around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
+    bits = (
+        around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
+        if "quality" in around.variables
+        else np.zeros(in_region.shape, np.uint16)
+    )
     is_used = in_region & ((bits & np.uint16(excluded)) == 0)
     picture[is_used] = colours[is_used]
     entries = {f"used  {is_used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}

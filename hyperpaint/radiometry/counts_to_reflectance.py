@@ -333,9 +333,11 @@ def _sources(white: Any) -> list[Any]:
         headers = lambda paths: [path for path in paths if path.suffix.lower() == ".hdr"]  # noqa: E731
         return list(find_paths(white, headers, "ENVI headers of white references", headers))
     white = white.to_dataset(name="counts") if isinstance(white, xr.DataArray) else white
-    if isinstance(white, xr.Dataset | Reference):
-        return [white]
-    return [source for entry in white for source in _sources(entry)]
+    return (
+        [white]
+        if isinstance(white, xr.Dataset | Reference)
+        else [source for entry in white for source in _sources(entry)]
+    )
 
 
 def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth: int) -> xr.Dataset:
@@ -930,9 +932,9 @@ def _with_product(
     dataset: xr.Dataset, name: str, cube: Any, quality: Any, attributes: dict[str, str | None]
 ) -> xr.Dataset:
     # Return the dataset with a calibrated cube, its quality, and `attributes` that are not empty.
-    earlier_quality = None
-    if "quality" in dataset.variables:
-        earlier_quality = require(dataset, ["quality"], name)["quality"].variable
+    earlier_quality = (
+        require(dataset, ["quality"], name)["quality"].variable if "quality" in dataset.variables else None
+    )
     bits = merged_quality(name, quality, earlier_quality, anew="counts" in dataset.variables)
     attrs = {key: text for key, text in attributes.items() if text}
     values = label(xr.DataArray(cube, dims=CUBE), name, **attrs)

@@ -315,9 +315,11 @@ def smooth(
     source = line_chunked(array) if is_cube else array
     core = [BAND, CROSS_TRACK] if is_cube else [BAND]
     good = xr.DataArray(np.ones(bands, bool), dims=BAND)
-    axis = xr.DataArray(np.arange(float(bands)), dims=BAND)
-    if "wavelength" in dataset.variables and dataset["wavelength"].dims == (BAND,):
-        axis = dataset["wavelength"]
+    axis = (
+        dataset["wavelength"]
+        if "wavelength" in dataset.variables and dataset["wavelength"].dims == (BAND,)
+        else xr.DataArray(np.arange(float(bands)), dims=BAND)
+    )
     inputs = (
         source,
         dataset.get("good", good).reset_coords(drop=True),

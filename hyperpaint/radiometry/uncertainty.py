@@ -276,9 +276,11 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
     starts = _block_starts(counts.shape)
     lines = (starts[:, None] + np.arange(BLOCK_LINES)).ravel()
     blocks = counts.isel({ALONG_TRACK: lines}).values
-    has_time = np.ones(blocks.shape[:1], bool)
-    if "time" in arrays:
-        has_time = ~np.isnat(arrays["time"].isel({ALONG_TRACK: lines}).values)
+    has_time = (
+        ~np.isnat(arrays["time"].isel({ALONG_TRACK: lines}).values)
+        if "time" in arrays
+        else np.ones(blocks.shape[:1], bool)
+    )
     cube = blocks.astype(np.float32) - dark.values.astype(np.float32)
     if "saturation_count" in arrays:
         limit = np.asarray(arrays["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
@@ -374,9 +376,11 @@ def _first_guess(points: _VariancePoints, valid: Bools, freedom: Floats) -> tupl
     if x.size < 2 or np.ptp(x) <= 0:
         return float(max(y.mean() / max(x.mean(), 1e-6), 1e-6)), 0.0
     slope, height = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-6))
-    if slope <= 0 or height < 0:
-        return float(np.median(y / np.maximum(x, 1.0))), 0.0
-    return float(slope), float(height)
+    return (
+        (float(np.median(y / np.maximum(x, 1.0))), 0.0)
+        if slope <= 0 or height < 0
+        else (float(slope), float(height))
+    )
 
 
 def _solve_with_jackknife(
@@ -1091,9 +1095,11 @@ class MeanErrors(NamedTuple):
     @property
     def u_systematic(self) -> Floats:
         # Uncertainty by errors that all bands share (band,); NaN without known errors.
-        if not self.systematic.any():
-            return np.full(self.sizes.shape[1], np.nan)
-        return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
+        return (
+            np.full(self.sizes.shape[1], np.nan)
+            if not self.systematic.any()
+            else np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
+        )
 
 
 def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:

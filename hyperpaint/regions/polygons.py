@@ -255,9 +255,11 @@ class Regions(Sequence[Region]):
     @overload
     def __getitem__(self, index: slice) -> Regions: ...
     def __getitem__(self, index: int | slice) -> Region | Regions:
-        if isinstance(index, slice):
-            return Regions(self.regions[index], self.coordinates, self.crs)
-        return self.regions[index]
+        return (
+            Regions(self.regions[index], self.coordinates, self.crs)
+            if isinstance(index, slice)
+            else self.regions[index]
+        )
 
     @property
     def names(self) -> tuple[str, ...]:

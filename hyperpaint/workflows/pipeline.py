@@ -689,9 +689,11 @@ def run(
             accepted = refuse_findings(opened, pending, accept, lit=to == "reflectance")
             demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
             stack.enter_context(limited_threads(demand.threads if client is None else None))
-            sources = groups
-            if demand.lines < lines_a_task:
-                sources = opened_groups(opened.settings, demand.lines, parameters)[1]
+            sources = (
+                opened_groups(opened.settings, demand.lines, parameters)[1]
+                if demand.lines < lines_a_task
+                else groups
+            )
             apply = alignment or opened.settings.alignment
             aligned.update({name: aligned_group(sources[name], name, to, apply) for name in pending})
             products.update(

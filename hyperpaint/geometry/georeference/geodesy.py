@@ -160,9 +160,11 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
     pyproj = _pyproj()
     system = _crs(crs_of(crs))
     latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
-    if system.is_geographic:
-        return np.zeros(latitude.shape)
-    return np.asarray(pyproj.Proj(system).get_factors(longitude, latitude).meridian_convergence, np.float64)
+    return (
+        np.zeros(latitude.shape)
+        if system.is_geographic
+        else np.asarray(pyproj.Proj(system).get_factors(longitude, latitude).meridian_convergence, np.float64)
+    )
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
@@ -195,9 +197,11 @@ def near_turns(x: Floats, middle: float, crs: str) -> Floats:
     # Return the shift in full turns that brings x nearest to ``middle``.
     #
     # Multiples of 360 where x is a longitude [degree]; 0 on a map.
-    if not _crs(crs).is_geographic:
-        return np.zeros_like(x)
-    return np.asarray(360.0 * np.round((middle - x) / 360.0))
+    return (
+        np.zeros_like(x)
+        if not _crs(crs).is_geographic
+        else np.asarray(360.0 * np.round((middle - x) / 360.0))
+    )
 
 
 # --- frames of lines ---------------------------------------------------------------------------------------

@@ -391,10 +391,11 @@ def _between(
     elapsed = np.where(is_inside, wanted - knots[before], 0)
     # a time equal to that of a row needs no interpolation, whatever the distance of the next row
     is_covered = is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
-    if is_attitude:
-        values = quaternions(*values).T
-    else:
-        values = np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
+    values = (
+        quaternions(*values).T
+        if is_attitude
+        else np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
+    )
     if interpolation == "cubic" and knots.size > 1:
         # cubic splines of positions (3, row) or quaternions (4, row), which end at every gap
         from scipy.interpolate import CubicSpline

@@ -402,10 +402,11 @@ def open_calibration(
         groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
         return load_group(source, "calibration" if groups == {"calibration"} else group)
 
-    if isinstance(source, xr.Dataset):
-        calibration = check_calibration(source)
-    else:
-        calibration = check_calibration(_read(source, group, "calibration", load), str(source))
+    calibration = (
+        check_calibration(source)
+        if isinstance(source, xr.Dataset)
+        else check_calibration(_read(source, group, "calibration", load), str(source))
+    )
     if bad_elements is not None:
         gain = calibration["radiance_gain"]
         path = input_path(bad_elements, "a list of bad elements")

@@ -566,9 +566,11 @@ def open_dark(
 
 def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
     # Return the source of a dark: ``source``, else the dark lines at the end of the scene, else None.
-    if source is not None or path is None or "dark_lines" not in opened.attrs:
-        return source
-    return open_envi(path, unsaid="counts", dark_lines=True)
+    return (
+        source
+        if source is not None or path is None or "dark_lines" not in opened.attrs
+        else open_envi(path, unsaid="counts", dark_lines=True)
+    )
 
 
 def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
@@ -710,9 +712,11 @@ class FlightlineInputs:
     @property
     def path(self) -> Path:
         # Path of the cube, or the name of its Dataset in messages.
-        if isinstance(self.cube, Path):
-            return self.cube
-        return Path(self.name or str(self.cube.attrs.get("source", "cube")))
+        return (
+            self.cube
+            if isinstance(self.cube, Path)
+            else Path(self.name or str(self.cube.attrs.get("source", "cube")))
+        )
 
 
 @takes_quantities(

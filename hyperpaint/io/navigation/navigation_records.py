@@ -1520,10 +1520,11 @@ def open_navigation(
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
             gps_time_path = None if gps_time is None else Path(gps_time)
-            if kind == "imu_gps":
-                record = _headwall_record(path, source, gps_time_path)
-            else:
-                record = read_record(path, kind, columns, source.midnight)
+            record = (
+                _headwall_record(path, source, gps_time_path)
+                if kind == "imu_gps"
+                else read_record(path, kind, columns, source.midnight)
+            )
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
@@ -2054,9 +2055,8 @@ def _metres(unit: str) -> float | None:
 
 def _is_unit(text: str) -> bool:
     # whether a text in brackets is a unit, rather than a label
-    if is_unit(text) or same_dimension(text, "m") or text.lower() == "in":
-        return True
-    return not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
+    is_of_pint = is_unit(text) or same_dimension(text, "m") or text.lower() == "in"
+    return is_of_pint or not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:

@@ -610,10 +610,11 @@ def _measure(
             ),
         ),
     )
-    if is_ratio:
-        values = ratio(file.target, file.reference)
-    else:
-        values = (file.reference, file.target)[scan_number] * file.dialect.scale[quantity]
+    values = (
+        ratio(file.target, file.reference)
+        if is_ratio
+        else (file.reference, file.target)[scan_number] * file.dialect.scale[quantity]
+    )
     handovers = _handovers(file, joins) if trim else ()
     is_used = _trimmed_channels(file, handovers)
     refuse(
@@ -923,9 +924,11 @@ def read_stamp(text: str) -> LocalStamp | None:
         certain = date(next(names, None) if is_word else int(second), third if len(first) == 4 else first)
         return None if certain is None else LocalStamp(certain, certain, slashes=False)
     day_first, month_first = date(int(second), first), date(int(first), second)
-    if day_first is None and month_first is None:
-        return None
-    return LocalStamp(day_first, month_first, slashes=separator == "/")
+    return (
+        None
+        if day_first is None and month_first is None
+        else LocalStamp(day_first, month_first, slashes=separator == "/")
+    )
 
 
 def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:

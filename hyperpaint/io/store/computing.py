@@ -478,10 +478,11 @@ def compute(
     client = client_in_force()
     with contextlib.ExitStack() as stack:
         bar = stack.enter_context(BlockBar(len(blocks))) if progress else None
-        if client is None:
-            results = _on_threads(scheduler_in_force(), graph, blocks, group, bar)
-        else:
-            results = _on_cluster(client, graph, blocks, group, bar)
+        results = (
+            _on_threads(scheduler_in_force(), graph, blocks, group, bar)
+            if client is None
+            else _on_cluster(client, graph, blocks, group, bar)
+        )
         stack.enter_context(contextlib.closing(results))
         for key, value in results:
             sums[blocks[key].array][blocks[key].sums] = value
@@ -503,9 +504,8 @@ def scheduler_in_force() -> Any:
     import dask.threaded
     from dask.base import get_scheduler
 
-    if "distributed" in sys.modules or dask.config.get("scheduler", None):
-        return get_scheduler() or dask.threaded.get
-    return dask.threaded.get
+    is_chosen = "distributed" in sys.modules or dask.config.get("scheduler", None)
+    return (is_chosen and get_scheduler()) or dask.threaded.get
 
 
 @contextlib.contextmanager

@@ -136,9 +136,11 @@ class Location:
         return joined(self.root, *parts)
 
     def has(self, *parts: str) -> bool:
-        if self.local is not None:
-            return os.path.exists(self.key(*parts))
-        return bool(self.fs.exists(self.key(*parts)))
+        return (
+            os.path.exists(self.key(*parts))
+            if self.local is not None
+            else bool(self.fs.exists(self.key(*parts)))
+        )
 
     def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
         # Return a file's bytes, None if there is no file. `StoreError` above ``limit`` bytes.
@@ -662,9 +664,11 @@ def content_of(location: Location, group: str, manifest: Manifest | None = None)
     #
     # ``manifest``: gives the content of a group whose attributes another program replaced.
     entry = manifest.groups.get(group) if manifest is not None else None
-    if entry is not None and attributes_replaced(location, group, entry):
-        return entry.content
-    return str(location.attributes(group).get(CONTENT, ""))
+    return (
+        entry.content
+        if entry is not None and attributes_replaced(location, group, entry)
+        else str(location.attributes(group).get(CONTENT, ""))
+    )
 
 
 def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bool:

@@ -915,10 +915,11 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             if recorded and name not in recorded:
                 notes.append(f"/{array_path}: added by another program, not in the manifest")
             try:
-                if name in recorded:
-                    count, faults = _recorded_chunks(location, group, name, recorded[name])
-                else:
-                    count, faults = _other_chunks(location, source, array_path)
+                count, faults = (
+                    _recorded_chunks(location, group, name, recorded[name])
+                    if name in recorded
+                    else _other_chunks(location, source, array_path)
+                )
                 chunks += count
                 problems += faults
             except StoreError as error:
