@@ -155,6 +155,13 @@ class PaintError(Exception):
         if is_fault:
             raise cls(found, expected=expected, mend=mend, option=option, code=code)
 
+    @classmethod
+    def raise_if_none(cls, value: T | None, found: str, **texts: Any) -> T:
+        """Return the value, or raise the error if it is None; ``texts``: see `Problem`."""
+        if value is None:
+            raise cls(found, **texts)
+        return value
+
     def note(self, found: str, *, mend: str = "", option: str = "") -> None:
         """Add a remark; Python prints it below the message."""
         self._notes = (*getattr(self, "_notes", ()), Problem(found, mend=mend, option=option))

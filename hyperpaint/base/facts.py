@@ -251,13 +251,12 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     """
     array = plain(array)
     name = name or str(array.name)
-    units = array.attrs.get("units")
-    if units is None:
-        raise UnitsError(
-            f"{name!r} has no units",
-            mend=f"set {name}.attrs['units'], for example to {wanted!r}",
-            code="units-missing",
-        )
+    units = UnitsError.raise_if_none(
+        array.attrs.get("units"),
+        f"{name!r} has no units",
+        mend=f"set {name}.attrs['units'], for example to {wanted!r}",
+        code="units-missing",
+    )
     try:
         factor = conversion_factor(str(units), wanted)
     except UnitsError as error:

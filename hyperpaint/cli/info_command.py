@@ -556,8 +556,9 @@ def _file(path: Path) -> Facts:
             (suffix == ".mat", _materials),
         )
         reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
-    if reader is None:
-        raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
+    reader = FormatError.raise_if_none(
+        reader, f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown"
+    )
     return reader(path)
 
 

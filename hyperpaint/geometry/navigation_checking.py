@@ -358,11 +358,12 @@ def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Find
 def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
     # Return a picture (along_track, cross_track) of a line's cube, or the ``image`` given, read once.
     if image is None:
-        name = next((name for name in _CUBES if name in line.variables), None)
-        if name is None:
-            raise SchemaError(
-                f"this line has no picture: {', '.join(_CUBES)}", mend="pass image=", code="picture-missing"
-            )
+        name = SchemaError.raise_if_none(
+            next((name for name in _CUBES if name in line.variables), None),
+            f"this line has no picture: {', '.join(_CUBES)}",
+            mend="pass image=",
+            code="picture-missing",
+        )
         image = line[name]
         if BAND in image.dims:
             # the mean of some bands spread over the wavelengths
@@ -637,13 +638,12 @@ def _setting(
         expected=f"at least {_MIN_LINES}",
         code="line-too-short",
     )
-    observed = row_motion(_picture(part, None if image is None else image.isel({ALONG_TRACK: selected})))
-    if observed is None:
-        raise SchemaError(
-            "the picture is too narrow or without contrast",
-            expected="at least 64 columns",
-            code="picture-narrow",
-        )
+    observed = SchemaError.raise_if_none(
+        row_motion(_picture(part, None if image is None else image.isel({ALONG_TRACK: selected}))),
+        "the picture is too narrow or without contrast",
+        expected="at least 64 columns",
+        code="picture-narrow",
+    )
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))
     right_tangents, forward_tangents = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
     look_right, look_forward, step = (

@@ -373,15 +373,16 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
     source = _with_counts(source) if isinstance(source, xr.Dataset) else source
     reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
     check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")
-    exposure = reference.exposure if white_exposure_time is None else white_exposure_time
-    if exposure is None:
-        raise SchemaError(
-            f"white {reference.name}: no exposure beside it or in its header",
-            mend="pass white_exposure_time= [s]; it is that of the scene only if the camera's setting was "
-            "not changed",
-            option="state exposure_time_ms in [reference]",
-            code="exposure-missing",
-        )
+    exposure = SchemaError.raise_if_none(
+        reference.exposure if white_exposure_time is None else white_exposure_time,
+        f"white {reference.name}: no exposure beside it or in its header",
+        mend=(
+            "pass white_exposure_time= [s]; it is that of the scene only if the camera's setting was "
+            "not changed"
+        ),
+        option="state exposure_time_ms in [reference]",
+        code="exposure-missing",
+    )
     darks: Any = line
     if white_dark is not None and (opened := open_dark(white_dark, Timing(), None, line["counts"])):
         darks = xr.Dataset(opened.variables(needs_noise=False))

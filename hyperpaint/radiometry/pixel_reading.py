@@ -94,12 +94,12 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
             [0.4]]], dtype=float32)
     """
     line = rename_to_roles(dataset)
-    if side is not None and not 1 <= side <= CHUNK_LINES:
-        raise SchemaError(
-            f"side={side}",
-            expected=f"1 to {CHUNK_LINES} lines and columns of a block",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        side is not None and not 1 <= side <= CHUNK_LINES,
+        f"side={side}",
+        expected=f"1 to {CHUNK_LINES} lines and columns of a block",
+        code="value-out-of-range",
+    )
     stored = _stored(line, side)
     if stored is None:
         line = line if "reflectance" in line.variables else reflectance(line)
@@ -331,12 +331,12 @@ def _positions(selection: Any, line: xr.Dataset, dim: str) -> Any:
         return slice(numbers.start, numbers.stop) if numbers.step == 1 else np.asarray(numbers)
     if np.ndim(selection):
         return np.asarray(selection)
-    if not -size <= selection < size:
-        raise SchemaError(
-            f"{dim} {selection} is outside of this line",
-            expected=f"{-size} to {size - 1}",
-            code="pixel-outside-line",
-        )
+    SchemaError.raise_if(
+        not -size <= selection < size,
+        f"{dim} {selection} is outside of this line",
+        expected=f"{-size} to {size - 1}",
+        code="pixel-outside-line",
+    )
     return int(selection) % size
 
 

@@ -651,8 +651,7 @@ def _region(feature: Any) -> Region:
             code="geometry-wrong",
         )
         geometry_type, rings = "Polygon", rings[0]
-    if geometry_type != "Polygon":
-        raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
+    SchemaError.raise_if(geometry_type != "Polygon", subject, expected="a Polygon", code="geometry-wrong")
     if not isinstance(rings, list | tuple) or not rings:
         raise SchemaError(f"{subject} without a list of rings", code="geometry-wrong")
     for position in (
@@ -686,10 +685,12 @@ def features_of(path: Path, max_features: int) -> dict[str, Any]:
     # polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     magic = VECTOR_FILES[path.suffix.lower()]
     with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
-        if file.read(len(magic)) != magic:
-            raise FormatError(
-                f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
-            )
+        FormatError.raise_if(
+            file.read(len(magic)) != magic,
+            f"{path}: not a {path.suffix[1:]} file",
+            mend="check what the file is",
+            code="file-kind-wrong",
+        )
     readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
     library = next((name for name in readers if importlib.util.find_spec(name)), None)
     if library is None:

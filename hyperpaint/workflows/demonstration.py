@@ -177,8 +177,9 @@ def compare(store: Path, truth: Path) -> Comparison:
             terms = (is_finite.astype(np.float64), np.where(is_finite, expected, 0.0), error, error**2)
             sums = sums + np.zeros((1, 1, error.shape[1]))
             sums[:, found] += np.stack([np.add.reduceat(term, starts, axis=0) for term in terms])
-    if slab is None:
-        raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
+    slab = StoreError.raise_if_none(
+        slab, f"{store} holds no flight line to compare", code="flightline-missing"
+    )
     wavelength, counts = slab["wavelength"].values, sums[0].max(axis=1)
     window = (wavelength >= OXYGEN_NM[0]) & (wavelength <= OXYGEN_NM[1])
 

@@ -132,14 +132,15 @@ def location_of(
             edges=None if field_of_view is None else "outer",
         )
     if column_order is not None:
-        convention = Convention.from_attrs(flightline.attrs)
-        if convention is None:
-            raise SchemaError(
-                "the store does not declare the signs of angles and the height reference of its line",
-                mend="declare roll_positive, pitch_positive, heading_positive, heading_reference, "
-                "euler_order and height_reference in [navigation] of collect.toml and process again",
-                code="convention-missing",
-            )
+        convention = SchemaError.raise_if_none(
+            Convention.from_attrs(flightline.attrs),
+            "the store does not declare the signs of angles and the height reference of its line",
+            mend=(
+                "declare roll_positive, pitch_positive, heading_positive, heading_reference, "
+                "euler_order and height_reference in [navigation] of collect.toml and process again"
+            ),
+            code="convention-missing",
+        )
         location["convention"] = convention.replace(column_order=column_order)
     return {name: value for name, value in location.items() if value is not None}
 

@@ -173,15 +173,15 @@ def convention_of(
     dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
 ) -> Convention:
     # Return the given convention, else the one of the attributes; SchemaError where there is neither.
-    declared = convention or Convention.from_attrs(dataset.attrs)
-    if declared is None:
-        raise SchemaError(
-            f"{subject} does not declare its angles and heights, which differ between makers",
-            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
-            "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
-            code="convention-missing",
-        )
-    return declared
+    return SchemaError.raise_if_none(
+        convention or Convention.from_attrs(dataset.attrs),
+        f"{subject} does not declare its angles and heights, which differ between makers",
+        mend=(
+            "give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid"
+        ),
+        code="convention-missing",
+    )
 
 
 def pose_columns(
@@ -606,14 +606,15 @@ def look_angles(
         along = np.zeros_like(across)
     else:
         source = line if camera is None else camera
-        name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
-        if name is None:
-            raise SchemaError(
-                "the line has neither look_across nor look_angle (cross_track) [degree]",
-                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
-                "of the angles",
-                code="camera-missing",
-            )
+        name = SchemaError.raise_if_none(
+            next((name for name in ("look_across", "look_angle") if name in source.variables), None),
+            "the line has neither look_across nor look_angle (cross_track) [degree]",
+            mend=(
+                "give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                "of the angles"
+            ),
+            code="camera-missing",
+        )
         across = convert(source[name], "degree").data.astype(np.float64)
         along = (
             convert(source["look_along"], "degree").data.astype(np.float64)
@@ -1779,9 +1780,12 @@ def _sightings(
     start: Floats,
 ) -> list[Sightings]:
     # Return the view of every line on its points.
-    crs = points.attrs.get("crs") if crs is None else crs
-    if crs is None:
-        raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
+    crs = SchemaError.raise_if_none(
+        points.attrs.get("crs") if crs is None else crs,
+        "the CRS of east and north is missing",
+        mend="pass crs=",
+        code="crs-missing",
+    )
     parts: list[tuple[str, Any, Ints]] = [("", lines, np.arange(points.sizes["point"]))]
     if not isinstance(lines, xr.Dataset):
         SchemaError.raise_if(

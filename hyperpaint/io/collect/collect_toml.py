@@ -753,12 +753,12 @@ def open_with_settings(
             calibration = open_calibration(collect.calibration, bad_elements=collect.bad_elements)
     if collect.sweep is not None:
         with findings.step():
-            if calibrate is None:
-                raise CollectError(
-                    f"{collect.sweep} is a lab sweep",
-                    mend="open it by hyperpaint.open_collect, or pass calibrate=",
-                    code="calibrate-missing",
-                )
+            calibrate = CollectError.raise_if_none(
+                calibrate,
+                f"{collect.sweep} is a lab sweep",
+                mend="open it by hyperpaint.open_collect, or pass calibrate=",
+                code="calibrate-missing",
+            )
             calibration = open_calibration(calibrate(collect.sweep), bad_elements=collect.bad_elements)
     irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
     with findings.step():

@@ -377,13 +377,12 @@ def _clock(
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
         # midnight of the date on the recording computer's clock
-        midnight = midnight_of(timing.date)
-        if midnight is None:
-            raise TimeError(
-                f"date {str(timing.date)[:40]!r}",
-                expected="a date such as '2024-06-01'",
-                code="time-unreadable",
-            )
+        midnight = TimeError.raise_if_none(
+            midnight_of(timing.date),
+            f"date {str(timing.date)[:40]!r}",
+            expected="a date such as '2024-06-01'",
+            code="time-unreadable",
+        )
         TimeError.raise_if(
             timing.clock_offset_s is None,
             "date without clock_offset_s",
@@ -391,12 +390,12 @@ def _clock(
             code="clock-offset-missing",
         )
         return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
-    if nav is None:
-        raise TimeError(
-            f"{cube.name}: {index.name} has no UTC",
-            mend="pass nav (imu_gps.txt), or start_time",
-            code="time-missing",
-        )
+    nav = TimeError.raise_if_none(
+        nav,
+        f"{cube.name}: {index.name} has no UTC",
+        mend="pass nav (imu_gps.txt), or start_time",
+        code="time-missing",
+    )
     return nav.clock_for(index)
 
 

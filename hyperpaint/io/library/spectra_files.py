@@ -960,13 +960,12 @@ def read_plain_table(
     source = path.name
     lines = _lines(path, "a table of wavelengths and reflectance")
     without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
-    found = first_row(without_comments, _MAX_PREAMBLE)
-    if found is None:
-        raise FormatError(
-            f"{source}: no table of numbers",
-            expected="a wavelength and one or more values a line",
-            code="table-missing",
-        )
+    found = FormatError.raise_if_none(
+        first_row(without_comments, _MAX_PREAMBLE),
+        f"{source}: no table of numbers",
+        expected="a wavelength and one or more values a line",
+        code="table-missing",
+    )
     first, dialect = found
     columns = len(row_numbers(lines[first], dialect) or ())
     table = _table(without_comments, first, columns, source, lambda line: row_numbers(line, dialect))
@@ -1427,13 +1426,12 @@ def read_usgs(
         ),
     )
     notes: list[str] = []
-    nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
-    if nm is None:
-        raise FormatError(
-            f"{source}: no file with {values.size} wavelengths beside it or in the folders above",
-            mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
-            code="wavelength-missing",
-        )
+    nm = FormatError.raise_if_none(
+        _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength,
+        f"{source}: no file with {values.size} wavelengths beside it or in the folders above",
+        mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
+        code="wavelength-missing",
+    )
     width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
     # channels that the spectrometer lacks have no wavelength
     is_there = np.isfinite(nm) if nm.size == values.size else np.ones(values.size, bool)
@@ -2229,15 +2227,15 @@ def _foreign(
         nm = axis * factor if nm is None else nm
         if width is None and axes == 2:
             width = stored[1].astype(np.float64) * factor
-    if nm is None:
-        raise FormatError(
-            (
-                f"{source}: the header has no wavelengths (wavelength units "
-                f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
-            ),
-            mend="pass wavelength= [nm]",
-            code="wavelength-missing",
-        )
+    nm = FormatError.raise_if_none(
+        nm,
+        (
+            f"{source}: the header has no wavelengths (wavelength units "
+            f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
+        ),
+        mend="pass wavelength= [nm]",
+        code="wavelength-missing",
+    )
     check_wavelengths(nm, source)
     if warned:
         warn_user(f"{source}: {'; '.join(warned)}", "header-incomplete")

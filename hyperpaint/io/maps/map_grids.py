@@ -501,14 +501,12 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
 
 def required_grid(dataset: xr.Dataset) -> Grid:
     # Return the grid of a map; SchemaError where its position is unknown.
-    grid = grid_of(dataset)
-    if grid is None:
-        raise SchemaError(
-            "the position of this map is unknown",
-            expected="spatial_ref with a GeoTransform, or x and y",
-            code="place-unknown",
-        )
-    return grid
+    return SchemaError.raise_if_none(
+        grid_of(dataset),
+        "the position of this map is unknown",
+        expected="spatial_ref with a GeoTransform, or x and y",
+        code="place-unknown",
+    )
 
 
 def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transform:
@@ -1063,14 +1061,12 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
         )
         axis = map.variables.get("wavelength")
         has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
-        nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
-        if nearest is None:
-            raise SchemaError(
-                "a picture needs bands within 50 nm of 640, 550 and 460 nm",
-                mend="choose bands by their indices",
-                code="band-missing",
-            )
-        return nearest
+        return SchemaError.raise_if_none(
+            nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None,
+            "a picture needs bands within 50 nm of 640, 550 and 460 nm",
+            mend="choose bands by their indices",
+            code="band-missing",
+        )
     chosen = [int(band) for band in bands]
     SchemaError.raise_if(
         not chosen or not all(-count <= band < count for band in chosen),

@@ -1245,13 +1245,12 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         expected="GGA sentences of NMEA 0183",
         code="position-missing",
     )
-    midnight_ns = log.first_day if log.first_day is not None else midnight
-    if midnight_ns is None:
-        raise TimeError(
-            f"{path.name} contains no date (RMC or ZDA)",
-            mend="pass date='YYYY-MM-DD' of its first row",
-            code="date-missing",
-        )
+    midnight_ns = TimeError.raise_if_none(
+        log.first_day if log.first_day is not None else midnight,
+        f"{path.name} contains no date (RMC or ZDA)",
+        mend="pass date='YYYY-MM-DD' of its first row",
+        code="date-missing",
+    )
     stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + midnight_ns
     names = (*POSE, "separation")
     values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
@@ -1819,12 +1818,12 @@ def _convention(
 ) -> Convention:
     # Return the convention of a record: its own, changed by the caller's declarations.
     choices = {} if declared is None or isinstance(declared, Convention) else declared
-    if unknown := set(choices) - set(own.__dataclass_fields__):
-        raise SchemaError(
-            f"convention has no {', '.join(map(repr, sorted(unknown)))}",
-            mend="see Convention",
-            code="key-unknown",
-        )
+    SchemaError.raise_if(
+        unknown := set(choices) - set(own.__dataclass_fields__),
+        f"convention has no {', '.join(map(repr, sorted(unknown)))}",
+        mend="see Convention",
+        code="key-unknown",
+    )
     chosen = declared if isinstance(declared, Convention) else own.replace(**choices)
     if "angle_unit" not in assumed and chosen.angle_unit != own.angle_unit:
         unit = own.angle_unit

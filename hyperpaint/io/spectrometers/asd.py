@@ -531,13 +531,12 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     path = Path(path)
     name, again = path.name, "export the spectra again"
     lines = text_lines(read_limited_text(path, _MAX_TEXT_BYTES, "a text export of spectra"))
-    found = _export_at(lines)
-    if found is None:
-        raise FormatError(
-            f"{name}: no line begins with 'Wavelength' and a separator",
-            expected="a text export of ASD spectra",
-            code="format-unknown",
-        )
+    found = FormatError.raise_if_none(
+        _export_at(lines),
+        f"{name}: no line begins with 'Wavelength' and a separator",
+        expected="a text export of ASD spectra",
+        code="format-unknown",
+    )
     export, start = found
     # the preamble
     text = "\n".join(lines[:start])
@@ -736,12 +735,12 @@ def read_spectra(
         one_of(quantity, QUANTITIES, "quantity")
     # calibration files of the caller, by kind of block
     calibration = calibration or {}
-    if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
-        raise SchemaError(
-            f"calibration keys {unknown}",
-            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
-            code="key-unknown",
-        )
+    SchemaError.raise_if(
+        unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)),
+        f"calibration keys {unknown}",
+        expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
+        code="key-unknown",
+    )
     external_files = {
         _CALIBRATION_KEYS[key]: file
         for key, file in zip(calibration, for_all(calibration.values(), read_asd), strict=True)

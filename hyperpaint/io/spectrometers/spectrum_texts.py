@@ -276,21 +276,19 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
     path = Path(path)
     lines = text_lines(read_limited_text(path, _MAX_BYTES, "a text of a spectrometer"))
     text = "\n".join(lines)
-    found = form_of(text)
-    if found is None:
-        raise FormatError(
-            f"{path.name}: no text of a spectrometer",
-            expected=f"one of {', '.join(form.instrument for form in FORMS)}",
-            code="format-unknown",
-        )
+    found = FormatError.raise_if_none(
+        form_of(text),
+        f"{path.name}: no text of a spectrometer",
+        expected=f"one of {', '.join(form.instrument for form in FORMS)}",
+        code="format-unknown",
+    )
     form, begins = found
     head, start = text[: begins.end()], text.count("\n", 0, begins.end())
     # LI-180 writes the unit behind each wavelength
     rows = [re.sub(r"^(\d+)nm\b", r"\1", line) for line in lines[start:]]
     at = first_row(rows)
     again = "copy the file again from the instrument"
-    if at is None:
-        raise FormatError(f"{path.name}: no table of numbers", mend=again, code="table-missing")
+    at = FormatError.raise_if_none(at, f"{path.name}: no table of numbers", mend=again, code="table-missing")
     first, dialect = at
     count = len(row_numbers(rows[first], dialect) or ())
     table: list[list[float]] = []

@@ -224,13 +224,13 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, min_bytes: int 
         return int(MARGIN * max(min_bytes, fixed + threads * a_thread)) + threads * thread_space()
 
     threads = _threads_within(limit, needed)
-    if needed(threads) > limit:
-        raise StoreError(
-            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}",
-            expected=f"at most {size_text(limit)}",
-            mend="end other programs, raise the memory limit, take fewer lines, or a larger machine",
-            code="memory-short",
-        )
+    StoreError.raise_if(
+        needed(threads) > limit,
+        f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}",
+        expected=f"at most {size_text(limit)}",
+        mend="end other programs, raise the memory limit, take fewer lines, or a larger machine",
+        code="memory-short",
+    )
     with limited_threads(threads):
         yield
 
@@ -413,14 +413,16 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
     encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
     one_thread = lines * sum(a_line) + encoded + fixed
-    if one_thread > available:
-        raise StoreError(
-            f"{subject} needs {size_text(one_thread)} of memory for a dask chunk of {counted(lines, 'line')}",
-            expected=f"at most {size_text(available)}",
-            mend=f"take fewer lines per chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), "
-            "end other programs, or raise the memory limit",
-            code="memory-short",
-        )
+    StoreError.raise_if(
+        one_thread > available,
+        f"{subject} needs {size_text(one_thread)} of memory for a dask chunk of {counted(lines, 'line')}",
+        expected=f"at most {size_text(available)}",
+        mend=(
+            f"take fewer lines per chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), "
+            "end other programs, or raise the memory limit"
+        ),
+        code="memory-short",
+    )
     # a single float32 cube is assumed to be computed from a cube of 16-bit counts, which is half as large
     is_single = sum(size > max(a_line) // 4 for size in a_line) == 1
     load = Load(sum(a_line) + is_single * max(a_line) // 2, 0, encoded, 0, length)

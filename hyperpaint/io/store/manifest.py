@@ -151,10 +151,12 @@ class Location:
                 if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading a pipe would never end
                     raise IncompleteStoreError(f"{key:.200} is not a regular file", code="file-not-plain")
             size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
-            if limit is not None and size > limit:
-                raise IncompleteStoreError(
-                    f"{key} has {size} bytes", expected=f"metadata of at most {limit}", code="file-too-large"
-                )
+            IncompleteStoreError.raise_if(
+                limit is not None and size > limit,
+                f"{key} has {size} bytes",
+                expected=f"metadata of at most {limit}",
+                code="file-too-large",
+            )
             return Path(key).read_bytes() if self.local is not None else bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
@@ -184,10 +186,11 @@ class Location:
         raw = self.read(*parts)
         if raw is None:
             return None
-        if len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES:
-            raise IncompleteStoreError(
-                f"{self.key(*parts)} has more than {MAX_VALUES} values", code="file-too-large"
-            )
+        IncompleteStoreError.raise_if(
+            len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES,
+            f"{self.key(*parts)} has more than {MAX_VALUES} values",
+            code="file-too-large",
+        )
         try:
             document = json.loads(raw)
         except (ValueError, RecursionError) as error:

@@ -198,13 +198,13 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
                 changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
             slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
         # icechunk returns rejected references; their chunks would be missing
-        if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
-            raise StoreError(
-                f"icechunk does not reach {cube.files[0].url}",
-                expected="raw files below a folder or URL that icechunk reads",
-                mend="copy the raw files to a local disk",
-                code="file-unreadable",
-            )
+        StoreError.raise_if(
+            session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs),
+            f"icechunk does not reach {cube.files[0].url}",
+            expected="raw files below a folder or URL that icechunk reads",
+            mend="copy the raw files to a local disk",
+            code="file-unreadable",
+        )
         for number, block in cube.copies.items():
             array[number * cube.lines : number * cube.lines + len(block)] = block
     session.commit("references to raw cubes")

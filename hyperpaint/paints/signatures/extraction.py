@@ -640,13 +640,13 @@ def extract_signatures(
     one_of(centre, CENTRES, "centre", problems=problems)
     problems.raise_if_any()
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
-        if value is not None and not (specular_sky or coat):
-            raise SchemaError(
-                f"{option}={value!r:.40} is used for the mirrored sky and the coat only",
-                mend="pass specular_sky=True as well",
-                option="give --specular-sky as well",
-                code="argument-missing",
-            )
+        SchemaError.raise_if(
+            value is not None and not (specular_sky or coat),
+            f"{option}={value!r:.40} is used for the mirrored sky and the coat only",
+            mend="pass specular_sky=True as well",
+            option="give --specular-sky as well",
+            code="argument-missing",
+        )
     lines = lines_of(line, region_list)
     sources = {
         name: source_of(dataset, smooth, specular_sky, sun_zenith, diffuse)

@@ -554,12 +554,12 @@ def read_mesh(
             unassigned.append(next((repr(name) for name in names if name), "a part without a name"))
         else:
             numbers[group] = number_of_material.setdefault(material, len(number_of_material))
-    if unassigned:
-        raise SchemaError(
-            f"{file.name}: no material for {', '.join(unassigned[:20])}",
-            mend="name them in materials=, or pass default=",
-            code="material-missing",
-        )
+    SchemaError.raise_if(
+        unassigned,
+        f"{file.name}: no material for {', '.join(unassigned[:20])}",
+        mend="name them in materials=, or pass default=",
+        code="material-missing",
+    )
     faces, surface = raw.faces[keeps_area], numbers[raw.face_group][keeps_area]
     scene_materials = tuple(number_of_material)
     normals = np.zeros((0, 3))
