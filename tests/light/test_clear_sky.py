@@ -10,7 +10,7 @@ from oracles.disort_sky import relative_sky
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.clear_sky import ClearSky, dome, ozone_mass, sunlight_table
+from hyperpaint.light.clear_sky import ClearSky, dome, ozone_mass, sunlight_table, zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation.atmosphere import (
     GRID_STEP,
@@ -108,6 +108,25 @@ def test_diffuse_fraction_of_the_tables(shared_data: Path) -> None:
             assert found == pytest.approx(float(row["table"]), abs=0.003), row
             compared += 1
     assert compared > 35
+
+
+def test_the_mirrored_sky_on_black_paint(shared_data: Path) -> None:
+    # What a coat of 4 % mirrors of the zenith, with fraction and radiance of DISORT; five suns, four bands
+    with (shared_data / "sky_disort/today_vs_disort.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    fractions = {
+        (row["sun_zenith_degree"], row["wavelength_nm"]): float(row["table"])
+        for row in rows
+        if row["quantity"] == "diffuse_fraction"
+    }
+    zeniths = [row for row in rows if row["quantity"] == "relative_radiance" and row["where"] == "zenith"]
+    assert len(zeniths) >= 20
+    for row in zeniths:
+        place = row["sun_zenith_degree"], row["wavelength_nm"]
+        sun, nm = float(place[0]), [float(place[1])]
+        if place in fractions:
+            ours = 0.04 * diffuse_fraction(nm, sun) * zenith_radiance(nm, sun)
+            assert ours[0] == pytest.approx(0.04 * fractions[place] * float(row["table"]), abs=5e-4), row
 
 
 @pytest.mark.parametrize("sun", [3.0, 33.0, 63.0, 79.0, 85.0])

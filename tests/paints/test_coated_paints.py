@@ -29,7 +29,8 @@ def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
     # Return a coated panel under a clear sky of which the coat reflects ``sky``
     f = diffuse_fraction(NM, SUN)
     share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
-    seen = share * body + 0.04 * f * zenith_radiance(NM, SUN)
+    above = np.array([float(relative_sky(nm, SUN, np.array(1.0), np.array(0.0))) for nm in NM])
+    seen = share * body + 0.04 * f * above
     cube = np.broadcast_to(seen[:, None].astype(np.float32), (8, NM.size, 8)).copy()
     rows = {name: ("along_track", np.full(8, value), {"units": "degree"})
             for name, value in zip(("latitude", "longitude"), PLACE, strict=True)}  # fmt: skip
