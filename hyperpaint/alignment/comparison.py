@@ -48,7 +48,7 @@ from hyperpaint.base import (
     takes_quantities,
     warn_user,
 )
-from hyperpaint.light.clear_sky import sunlight_table
+from hyperpaint.light.clear_sky import disort_tables, sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record
 
 from .lamp import (
@@ -1416,7 +1416,7 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> tuple[Floats, F
 def _log_light(wavelengths: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
     # Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width:
     # of the sun above the air, and the changes by two gases (gas, shift, channel).
-    table = sunlight_table()
+    table, gases = sunlight_table(), disort_tables()  # gases at air mass 1.5 and 1.4 cm of water
     from_mean = np.abs(table.wavelength - wavelengths.mean(axis=1, keepdims=True))
     is_near = from_mean < np.ptp(wavelengths, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
     cells = is_near.any(axis=0)
@@ -1425,7 +1425,11 @@ def _log_light(wavelengths: Floats, width: float, rules: SunLineRules) -> tuple[
     response = np.exp(-4.0 * np.log(2.0) / squared_width * offset**2) * is_near[:, None, cells]
     response /= response.sum(axis=2, keepdims=True)
     sun = table.extraterrestrial[cells]
-    lights = np.stack([sun, sun * np.exp(-table.mixed[cells]), sun * np.exp(-table.water[cells])], axis=-1)
+    oxygen, water = (
+        np.interp(table.wavelength[cells], gases["line"], gases[name][place])
+        for name, place in (("oxygen_depth", np.s_[:, 1]), ("water_depth", np.s_[:, 1, 3]))
+    )
+    lights = np.stack([sun, sun * np.exp(-oxygen), sun * np.exp(-water)], axis=-1)
     logs = np.moveaxis(np.log(response @ lights), -1, 0)
     return logs[0], logs[1:] - logs[0]
 

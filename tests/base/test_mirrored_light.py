@@ -8,7 +8,7 @@ from support.refusals import expect_errors
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
+from hyperpaint.io.dirsig.dirsig_writing import Coats, PaintCurves
 from hyperpaint.paints.paint_libraries import coating_of
 from hyperpaint.validation.validating import signatures_from
 
@@ -43,7 +43,7 @@ def library(attrs: dict[str, str], apart: bool) -> xr.Dataset:
 def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str | None) -> None:
     paints = library(attrs, apart)
     assert mirror_reflection(paints) == expected
-    attrs = PaintCurves(paints, 0.0).attrs
+    attrs = PaintCurves(paints, Coats(np.zeros(1), np.zeros(1))).attrs
     assert attrs["mirror_reflection"] == (expected or INCLUDED)
     assert attrs["mirror_reflection_source"].startswith("stated") == (expected is not None)
     assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
@@ -62,5 +62,5 @@ def test_another_word_is_refused() -> None:
     expect_errors(
         (SchemaError, r"'yes'.*choice-unknown", lambda: mirror_reflection(paints)),
         (SchemaError, "'yes'", lambda: hp.paints.mix_paints(paints, {"same": {"red": 1.0}})),
-        (SchemaError, "'yes'", lambda: PaintCurves(paints, 0.0)),
+        (SchemaError, "'yes'", lambda: PaintCurves(paints, Coats(np.zeros(1), np.zeros(1)))),
     )
