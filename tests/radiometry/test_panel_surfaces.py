@@ -93,6 +93,24 @@ def test_a_panel_of_a_flight_closes_with_its_surface(sun: float, truth: float) -
     assert 0.009 < float(scaled.panel_scale_u.max()) < 0.016
 
 
+@pytest.mark.filterwarnings(
+    "ignore::hyperpaint.base.errors.PaintWarning"
+)  # the simulated panel is Lambertian
+def test_the_camera_sees_more_against_the_sun() -> None:
+    laid = Laid(texture=0.0, reflectance=0.95)
+    line = flown_over(laid, seed=7, sun_zenith=45.0, irradiance_noise=0.0)
+    _, azimuth = hp.light.solar_position(line.time.values[16], line.latitude.mean(), line.longitude.mean())
+
+    def level(turn: float) -> float:
+        view = (20.0, float(azimuth) + turn)
+        panel = hp.Panel(laid.along, laid.across, 0.95, surface="sintered-ptfe", view=view)
+        return float(np.median(panel_closure(line, panel).panel_factor))
+
+    # with the sun behind the camera 1.005, and opposite 1.033 of the certificate, in nine tenths of the light
+    assert level(180.0) / level(0.0) == pytest.approx((1.0 + 0.9 * 0.005) / (1.0 + 0.9 * 0.033), abs=5e-3)
+    assert level(90.0) == pytest.approx(level(-90.0), rel=1e-6)
+
+
 def test_a_surface_needs_the_sun() -> None:
     laid = Laid(texture=0.0, reflectance=0.95)
     line = flown_over(laid, seed=7).drop_vars(["latitude", "longitude"])

@@ -418,7 +418,9 @@ def test_a_coat_is_a_brdf_over_the_body(attrs: dict[str, str], tmp_path: Path) -
     # both ends of the curves are covered, and nothing is far from a parameter
     assert (lambdas[0], lambdas[-1]) == (wavelength[0], wavelength[-1])
     assert np.diff(lambdas).max() <= 0.02
-    assert "BRDF Shell Target of 3 paints" in (out / "README.txt").read_text()
+    readme = (out / "README.txt").read_text()
+    assert "BRDF Shell Target of 3 paints" in readme
+    assert max(map(len, readme.splitlines())) <= 120
     hp.write_dirsig(paints, tmp_path / "plain")
     assert "body below the coat" in (tmp_path / "plain/README.txt").read_text()
     assert surface_of(tmp_path / "plain", "paint_1") == (
