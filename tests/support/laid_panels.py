@@ -86,7 +86,9 @@ def _flown_over(*laid: Laid, seed: int, lines: int, **effects: Any) -> xr.Datase
     settings = SimulationSettings.of({**usual, "seed": seed, **effects})
     flight = _OverPanels(settings)
     flight.laid = laid
-    return line_dataset(flight, flight.lines(0, settings.lines), matched=False)
+    line = line_dataset(flight, flight.lines(0, settings.lines), matched=False)
+    direct, diffuse = (part.mean(axis=1) for part in flight.incident)
+    return line.assign_attrs(diffuse_of_the_sky=(diffuse / (direct + diffuse)).tolist())
 
 
 def flown_over(*laid: Laid, seed: int, lines: int = 32, saturated: float = 0.0, **effects: Any) -> xr.Dataset:
