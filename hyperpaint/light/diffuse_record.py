@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
     require,
 )
 
-from .clear_sky import ClearSky
+from .clear_sky import ClearSky, sunlight_table
 from .illumination import channels_of, check_irradiance_times
 from .sun import solar_position
 
@@ -512,7 +512,15 @@ def _clear_light(
     )
     steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
     points = np.array(centres)[:, None] + steps
-    direct, diffuse = (part.reshape(-1, *points.shape) for part in sky.irradiance(points.ravel()))
+    table = sunlight_table()
+    above = np.cos(np.radians(sun_zenith)) * np.interp(points, table.wavelength, table.extraterrestrial)
+    # scattering is smooth within an interval, gases are not
+    direct, diffuse = (
+        above * scattered[..., None] * gases.reshape(-1, *points.shape)
+        for scattered, gases in zip(
+            sky.transmittances(np.array(centres)), sky.gases(points.ravel()), strict=True
+        )
+    )
     return direct, diffuse, *sky.transmittances(NODES_NM)
 
 
