@@ -29,7 +29,7 @@ MID_EXPOSURE_OFFSETS: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0
 #: inputs and settings may give other bits (a formula, a constant, a threshold, an order of summation); not
 #: for speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums of this version.
 #: A store of another version is reported, and computed again on request.
-NUMERICS_VERSION = 1
+NUMERICS_VERSION = 2
 
 #: Size of the output of one task; the allocator requests a larger block from the kernel each time.
 MAX_TASK_BYTES = 24_000_000
