@@ -16,7 +16,7 @@ def write_without_cube(path, lines):
     import dask.array as da
     import zarr
 
-    from hyperpaint.io.store.layout import encoding_of
+    from hyperpaint.io.store.computing import encoding_of
 
     cube = da.zeros((lines, BANDS, COLUMNS), dtype="uint16", chunks=(32, BANDS, COLUMNS))
     line = flight_line(lines, counts=cube)

@@ -33,7 +33,7 @@ from .io.library import (
 from .io.navigation.navigation_records import open_navigation as open_navigation
 from .io.spectrometers.asd import open_asd as open_asd
 from .io.spectrometers.irradiance import open_irradiance as open_irradiance
-from .io.spectrometers.svc import open_svc as open_svc
+from .io.spectrometers.spectrum_texts import open_svc as open_svc
 from .io.store import (
     open_store as open_store,
     to_store as to_store,

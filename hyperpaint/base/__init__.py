@@ -8,7 +8,7 @@ from . import errors as errors  # `hyperpaint.errors` is it, also where nothing 
 from .attitude_conventions import *
 from .constants import *
 from .errors import *
-from .errors import warn_user as warn_user  # the package warns; the public module does not list it
+from .errors import warn_if as warn_if, warn_user as warn_user  # not listed by the public module
 from .facts import *
 from .input_files import *
 from .mirrored_light import *

@@ -149,7 +149,7 @@ class Convention:
             Angles in this convention.
         convergence
             Grid north, east of true north [degree]; needed for headings from grid north alone. See
-            `hyperpaint.geometry.georeference.geodesy.meridian_convergence`.
+            `hyperpaint.geometry.georeference.locating.meridian_convergence`.
 
         Returns
         -------

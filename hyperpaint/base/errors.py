@@ -353,6 +353,11 @@ def warn_user(found: str, code: str) -> None:
     warnings.warn(PaintWarning(found, code=code), stacklevel=level)
 
 
+def warn_if(is_present: Any, found: str, code: str) -> None:
+    if is_present:
+        warn_user(found, code)
+
+
 class Problems:
     """Collector of all problems of one input, to raise them together.
 

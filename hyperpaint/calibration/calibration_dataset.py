@@ -37,6 +37,7 @@ from hyperpaint.base import (
     require,
     same_dimension,
     takes_quantities,
+    warn_if,
     warn_user,
 )
 from hyperpaint.kernels.line_fits import GAUSSIAN, profiles
@@ -44,12 +45,12 @@ from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.responses import Responses, log_slope
 from hyperpaint.radiometry.stray_light import DARK_SUBTRACTED, RAW, Linearity, linearity_of
 
-from .detector import LabSweep, check_sweep, deviant_darks, element_values, listed, refused, row_medians
-from .elements import (
+from .detector import (
     FROM_FRAMES,
     FROM_SCATTER,
     SHAPES,
     Fits,
+    LabSweep,
     LampLines,
     NoiseModel,
     SweepData,
@@ -57,17 +58,23 @@ from .elements import (
     Window,
     at_steps,
     band_widths,
+    check_sweep,
     complete_edge_lines,
+    deviant_darks,
     deviant_elements,
     element_differences,
     element_gain,
+    element_values,
     find_line,
     fit_beam,
     fit_steps,
     fit_wavelength_map,
     line_wavelengths,
+    listed,
     placed_lines,
     read_lines,
+    refused,
+    row_medians,
     second_order_factor,
     shape_variance,
     slope_shift_of_lines,
@@ -1541,8 +1548,7 @@ def calibrate(
             mend="check the exposure of the dark, and the lamp",
             code="steps-dark",
         )
-    if dark:
-        warn_user(f"no lamp line above the noise at {listed(dark, 'nm')}: left out", "steps-dark")
+    warn_if(dark, f"no lamp line above the noise at {listed(dark, 'nm')}: left out", "steps-dark")
     first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
@@ -1573,12 +1579,12 @@ def calibrate(
         lab, sweep_data, lamp_lines, rough_map, SHAPES[shape], has_noise=has_noise
     )
     if not has_noise:
-        if lab.variance is None:
-            warn_user(
-                "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
-                "of the fits, and uncertainties of single elements are rough",
-                "noise-missing",
-            )
+        warn_if(
+            lab.variance is None,
+            "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
+            "of the fits, and uncertainties of single elements are rough",
+            "noise-missing",
+        )
         sweep_data = replace(
             sweep_data, noise=replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
         )
@@ -1588,8 +1594,9 @@ def calibrate(
         for w, window in zip(lab.wavelength, windows, strict=True)
         if window is not None and window.saturated.any()
     ]
-    if saturated_steps:
-        warn_user(f"saturated lamp lines are left out: {listed(saturated_steps)}", "steps-saturated")
+    warn_if(
+        saturated_steps, f"saturated lamp lines are left out: {listed(saturated_steps)}", "steps-saturated"
+    )
     # wavelength map, widths of bands, and lamp lines cut off at the edges of the array
     slope, slope_shift = _slope_and_shift(lamp_lines, lab, sweep_data.noise, rough_map, shape)
     light_wavelength = lab.wavelength + slope_shift
@@ -1601,12 +1608,12 @@ def calibrate(
             np.where(is_placed, lamp_lines.area, np.nan),
             max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL),
         )
-        if problem is not None:
-            warn_user(
-                f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
-                "enters the response; give flux or capture_fraction per step and column, or a flat_field",
-                "flux-profile-missing",
-            )
+        warn_if(
+            problem is not None,
+            f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
+            "enters the response; give flux or capture_fraction per step and column, or a flat_field",
+            "flux-profile-missing",
+        )
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
     _refuse_undersampled(lab, wavelength_map, fwhm)
     camera_width = at_steps(lab, wavelength_map, fwhm)

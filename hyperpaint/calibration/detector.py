@@ -1,25 +1,40 @@
-"""Detector properties without a spectrum: dark at any exposure, flat field, linearity, bad elements.
+"""The detector: dark at any exposure, flat field, linearity, bad elements, and lamp lines on it.
 
 Check a lab sweep, report all faults together, and read its frames one step at a time.
+
+Lamp lines of sweep steps: their fits, their agreement with the wavelength map, and deviant elements.
+
+Centre, lit columns, width and area are fitted separately over bands and columns: over bands, light of one
+wavelength shows the response of the camera; over columns, it shows the profile of the beam, which is not a
+property of the camera.
+
+Four parameters cannot be fitted to half a lamp line. For a lamp line at the edge of the array the wavelength
+map gives the centre and the neighbours give the width; only the height is fitted, and the area follows.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.polynomial import chebyshev
 
 from hyperpaint.base import (
     BAND,
     CROSS_TRACK,
     MONOCHROMATOR_SHAPES,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
     STEP,
     SWEEP_VARIABLES,
     Array,
     ArrayLike,
     Bools,
     Floats,
+    Ints,
     Problem,
     Problems,
     SchemaError,
@@ -28,7 +43,21 @@ from hyperpaint.base import (
     one_of,
     require,
     takes_quantities,
+    warn_if,
 )
+from hyperpaint.kernels.arguments import LineFits, LineSamples
+from hyperpaint.kernels.line_fits import (
+    AREA,
+    CENTRE,
+    GAUSSIAN,
+    OFFSET,
+    SLIT,
+    WIDTH,
+    fit_lines,
+    full_widths,
+    profiles,
+)
+from hyperpaint.radiometry.stray_light import Linearity, smear_of
 
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Relative difference of exposure times that are taken as equal, by rounding of drivers [1].
@@ -590,3 +619,1108 @@ def _assembled(
         ),
         band_shift_time=scalar("band_shift_time") or 0.0,
     )
+
+
+#: Line shapes that a sweep distinguishes, with their numbers in the kernel.
+SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
+
+#: Minimum light of a lit column, relative to the brightest column.
+LIT = 0.2
+
+#: Half width of the window of a lamp line in full widths at half maximum; 2e-7 of a Gaussian's area lies
+#: beyond.
+REACH = 2.2
+
+_MAX_DEVIATION_SHARE = 0.15  # of a lamp line's height; a larger deviation from the fit is not noise
+_MIN_BACKGROUND_BANDS = 12  # minimum number of bands outside a window for an estimate of its background
+_GAUSSIAN_AREA = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    # Variance of one frame, constant + slope x signal, and of the subtracted dark [count2].
+    constant: float
+    slope: float
+    dark: float = 0.0
+
+    def variance(self, signal: Floats, frames: float) -> Floats:
+        # Return the variance of the mean of some frames less the dark.
+        return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames + self.dark)
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of a step, for fits in units of bands: widths in bands, shape of the lamp line."""
+
+    width: Floats
+    triangular: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The bands around the lamp line of one step, column by column."""
+
+    columns: Ints  #: (line,): lit columns
+    #: (line,): band of the first sample; negative where the window begins before the array
+    first: Ints
+    #: (line, sample): counts less dark and background; NaN outside the array and at bad elements
+    values: Floats
+    #: background, background_variance (line,): subtracted background [count], and its variance in units
+    #: of the variance of one band
+    background: Floats
+    background_variance: Floats
+    saturated: Bools  #: (line,): whether a sample is at the converter's end
+    #: (cross_track,): light of every column relative to the brightest; NaN without valid elements
+    beam: Floats
+    #: (band,): counts of the bands outside the window relative to the area, mean of the lit columns; 0 inside
+    out_of_band: Floats
+    band: int  #: Band of the peak
+
+    @property
+    def places(self) -> Floats:
+        # Band of every sample (line, sample).
+        return np.asarray(self.first[:, None] + np.arange(self.values.shape[1]), np.float64)
+
+    def leave_out(self, bad: Bools) -> None:
+        # Blank the samples of bad elements (band, cross_track).
+        band_numbers = self.first[:, None] + np.arange(self.values.shape[1])
+        self.values[bad[np.clip(band_numbers, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Fits of one step's lines; widths and centres in bands."""
+
+    #: (line, 4): centre [band], full width at half maximum of the camera [band], area [count], offset
+    #: [count]
+    parameters: Floats
+    covariance: Floats  #: (line, 4, 4): of the parameters
+    width: Floats  #: (line,): full width at half maximum of the measured lamp line [band]
+    amplitude: Floats  #: (line,): height [count]
+    #: area, area_variance (line,): sum over bands [count]: as measured, with the unseen part taken from
+    #: the fit
+    area: Floats
+    area_variance: Floats
+    #: chi2, degrees (line,): weighted sum of squared residuals and degrees of freedom
+    chi2: Floats
+    degrees: Floats
+    converged: Bools  #: (line,): whether the fit converged to finite numbers
+
+
+def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
+    # Return the window around the lamp line of one step; None without a line.
+    #
+    # ``net`` (band, cross_track) are counts less dark, ``raw`` counts as read; ``bad`` elements are left
+    # out; ``saturation`` is the count at which the converter is full, or None.
+    bands, columns = net.shape
+    valid_net = np.where(bad | ~np.isfinite(net), np.nan, net)
+    spectrum = _mean(valid_net, axis=1)
+    is_valid = np.isfinite(spectrum)
+    spectrum = np.where(is_valid, spectrum - np.median(spectrum[is_valid]), 0.0)
+    smooth = np.convolve(spectrum, np.ones(3) / 3.0, mode="same")
+    peak = int(np.argmax(smooth))
+    is_far = np.abs(np.arange(bands) - peak) > 0.1 * bands
+    scatter = 1.4826 * float(np.median(np.abs(spectrum[is_far]))) if is_far.any() else 0.0
+    if not smooth[peak] > max(8.0 * scatter, 1e-9):
+        return None
+    width = _rough_width(spectrum, peak)
+    half_width = int(np.ceil(REACH * width + 2.0))
+    # peak of the lamp line in each column, which moves by smile
+    margin = int(np.ceil(width)) + 3
+    near_bands = np.arange(max(peak - margin, 0), min(peak + margin + 1, bands))
+    strip = np.where(np.isfinite(valid_net[near_bands]), valid_net[near_bands], 0.0)
+    strip = strip[:-2] + strip[1:-1] + strip[2:] if len(near_bands) > 4 else strip
+    peak_bands = near_bands[np.argmax(strip, axis=0) + (1 if len(near_bands) > 4 else 0)]
+    first = (peak_bands - half_width).astype(np.int64)
+    band_numbers = first[:, None] + np.arange(2 * half_width + 1)
+    is_inside = (band_numbers >= 0) & (band_numbers < bands)
+    clipped = np.clip(band_numbers, 0, bands - 1)
+    column_index = np.arange(columns)[:, None]
+    values = np.where(is_inside, valid_net[clipped, column_index], np.nan)
+    outside = valid_net.copy()
+    outside[clipped, column_index] = np.nan
+    # background: clipped mean of each column outside its window, and its variance relative to that of a band
+    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
+    background, variance = np.zeros((2, columns))
+    covered = np.flatnonzero(np.isfinite(outside).sum(axis=0) >= _MIN_BACKGROUND_BANDS)
+    if covered.size:
+        bands_outside = outside[:, covered]
+        distance = np.abs(bands_outside - np.nanmedian(bands_outside, axis=0))
+        is_background = np.isfinite(distance) & (distance <= 4.0 * 1.4826 * np.nanmedian(distance, axis=0))
+        count = np.maximum(is_background.sum(axis=0), 1)
+        background[covered] = np.where(is_background, bands_outside, 0.0).sum(axis=0) / count
+        variance[covered] = 1.0 / count
+    values = values - background[:, None]
+    is_saturated = np.zeros(columns, np.bool_)
+    if saturation is not None:
+        limit = np.broadcast_to(saturation, net.shape) - float(SATURATION_MARGIN_COUNTS)
+        is_saturated = ((raw >= limit)[clipped, column_index] & is_inside & np.isfinite(values)).any(axis=1)
+    light = np.where(np.isfinite(values).sum(axis=1) >= min(6, bands), np.nansum(values, axis=1), np.nan)
+    # light of the brightest columns, insensitive to a single column
+    levels = np.where(np.isfinite(light), light, 0.0)
+    if columns >= 5:
+        levels = np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1)
+    brightest = float(levels.max(initial=0.0))
+    lit_columns = np.flatnonzero(light > LIT * brightest)
+    if not brightest > 0 or not lit_columns.size:
+        return None
+    out_of_band = _mean(
+        np.where(np.isfinite(outside), outside, np.nan)[:, lit_columns] / light[lit_columns], axis=1
+    )
+    return Window(
+        columns=lit_columns,
+        first=first[lit_columns],
+        values=values[lit_columns],
+        background=background[lit_columns],
+        background_variance=variance[lit_columns],
+        saturated=is_saturated[lit_columns],
+        beam=light / brightest,
+        out_of_band=np.where(np.isfinite(out_of_band), out_of_band, 0.0),
+        band=peak,
+    )
+
+
+def _mean(values: Floats, axis: int) -> Floats:
+    # Return the mean of finite values; NaN without finite values.
+    is_finite = np.isfinite(values)
+    count = is_finite.sum(axis=axis)
+    total = np.where(is_finite, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _rough_width(spectrum: Floats, peak: int) -> float:
+    # Return the full width of a peak from area over height, at least one band [band].
+    half_width = 3
+    for _ in range(6):
+        samples = spectrum[max(peak - half_width, 0) : peak + half_width + 1]
+        # at the edge of the array, a lamp line has only one side
+        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half_width) / half_width
+        width = max(2.0 * samples.sum() / share / (samples.max() * _GAUSSIAN_AREA), 1.0)
+        needed_half = int(np.ceil(2.0 * width + 1.0))
+        if needed_half <= half_width:
+            break
+        half_width = min(needed_half, len(spectrum))
+    return float(min(width, len(spectrum) / 4.0))
+
+
+def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
+    # Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits.
+    lamp_lines = len(parameters)
+    fits = LineFits(
+        parameters, np.empty((lamp_lines, 4, 4)), np.empty(lamp_lines), np.zeros(lamp_lines, np.bool_)
+    )
+    fit_lines(samples, shape, triangular, fits)
+    return fits
+
+
+def fit_beam(beam: Floats) -> tuple[float, float]:
+    # Return centre and full width at half maximum of the beam over columns; NaN without a peak.
+    is_finite = np.isfinite(beam)
+    columns = np.arange(beam.size, dtype=np.float64)
+    weights = np.where(is_finite, 1.0, 0.0)[None]
+    values = np.where(is_finite, beam, 0.0)
+    total = np.maximum(values, 0.0).sum()
+    if is_finite.sum() < 8 or not total > 0:
+        return np.nan, np.nan
+    centre = float((np.maximum(values, 0.0) * columns).sum() / total)
+    fits = fitted(
+        LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1)),
+        GAUSSIAN,
+        False,
+        np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]),
+    )
+    beam_centre, width, area, offset = fits.parameters[0]
+    is_peak = fits.converged[0] and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
+    return (
+        (float(beam_centre), float(width))
+        if is_peak and abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA)
+        else (np.nan, np.nan)
+    )
+
+
+def fit_window(
+    window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
+) -> Fits:
+    # Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
+    #
+    # ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
+    # which is a fit without deconvolution. ``start`` are fits with start values.
+    is_finite = np.isfinite(window.values)
+    values = np.where(is_finite, window.values, 0.0)
+    if start is None:
+        parameters, model = _start(window, light), values
+    else:
+        parameters, width = start.parameters.copy(), start.width
+        parameters[:, WIDTH] = np.sqrt(np.maximum(width**2 - light.width**2, (0.3 * width) ** 2))
+        model = start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+    height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
+    # weights from the noise of single counts favour low counts: weights follow the model if there is one
+    min_variance = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
+    variance = noise.variance(model, frames) + min_variance
+    # fit in place, and again without the worst outlier
+    is_used, start_values = is_finite.copy(), parameters.copy()
+    for is_last in (False, True):
+        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
+        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
+        fits = fitted(samples, shape, light.triangular, parameters)
+        if is_last:
+            break
+        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
+        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))[:, None]
+        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
+        is_outlier = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude)
+        is_outlier &= residual >= residual.max(axis=1, keepdims=True)
+        if not is_outlier.any():
+            break
+        is_used &= ~is_outlier
+    # sum over all bands, of which the part beyond the edge of the array or on bad elements is taken from the
+    # fit. Where bands are more than half a lamp line's width apart, their sum is a little more or less than
+    # the light, depending on its position between them; the profile corrects this.
+    unit = _profiles(window, parameters, shape, light)
+    total = np.maximum(unit.sum(axis=1), 1e-300)
+    unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
+    area = np.where(is_used, window.values, 0.0).sum(axis=1) / total + unseen * parameters[:, AREA]
+    area_variance = np.where(is_used, noise.variance(np.where(is_used, values, 0.0), frames), 0.0).sum(axis=1)
+    area_variance += (
+        is_used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+    )
+    area_variance += unseen**2 * fits.covariance[:, AREA, AREA]
+    width = np.empty(len(values))
+    full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
+    return Fits(
+        parameters=parameters,
+        covariance=fits.covariance,
+        width=width,
+        amplitude=parameters[:, AREA] * _peaks(parameters, shape, light),
+        area=area,
+        area_variance=area_variance,
+        chi2=fits.chi2,
+        degrees=np.maximum(is_used.sum(axis=1) - 4.0, 1.0),
+        converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
+    )
+
+
+def _start(window: Window, light: Light) -> Floats:
+    values = np.where(np.isfinite(window.values), np.maximum(window.values, 0.0), 0.0)
+    peak = np.argmax(values, axis=1)
+    height = values.max(axis=1)
+    is_near = np.abs(np.arange(values.shape[1]) - peak[:, None]) <= values.shape[1] / 4
+    # the larger half is doubled, for lamp lines cut off at the edge of the array
+    side = np.arange(values.shape[1]) - peak[:, None]
+    halves = [np.where(is_near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
+    area = height + 2.0 * np.maximum(*halves)
+    observed_width = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
+    camera_width = np.sqrt(np.maximum(observed_width**2 - light.width**2, (0.3 * observed_width) ** 2))
+    return np.column_stack([window.first + peak, camera_width, area, np.zeros_like(area)]).astype(np.float64)
+
+
+def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:
+    out = np.empty(window.values.shape)
+    distance = window.places - parameters[:, CENTRE, None]
+    profiles(distance, parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
+    return out
+
+
+def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
+    out = np.empty((len(parameters), 1))
+    profiles(np.zeros_like(out), parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
+    return out[:, 0]
+
+
+# --- fit the wavelength of every element to lamp lines: a smooth surface over bands and columns ------------
+
+
+BAND_DEGREE = 3
+COLUMN_DEGREES = (0, 1, 2, 3, 4)
+_TUKEY_SD = 4.685  # standard deviations beyond which Tukey's biweight gives no weight
+_ROUNDS = 20
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class WavelengthMap:
+    # Wavelength as a tensor of Chebyshev polynomials in band and column.
+    coefficients: Floats  #: (band degree + 1, column degree + 1): [nm]
+    #: bands, columns: sizes of the array
+    bands: int
+    columns: int
+    #: First and last column with lamp lines; beyond them the surface is constant
+    lit: tuple[int, int]
+    residual: float  #: Robust standard deviation of the lines about the surface [nm]
+
+    def at(self, band: ArrayLike, column: ArrayLike) -> Floats:
+        # Return the wavelength at fractional bands and columns [nm].
+        u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
+        return np.asarray(chebyshev.chebval2d(u, v, self.coefficients))
+
+    def spacing(self, band: ArrayLike, column: ArrayLike) -> Floats:
+        # Return ``|d wavelength / d band|`` [nm].
+        u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
+        slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
+        return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
+
+    def band_of(self, wavelength: float | Floats, column: Ints) -> Floats:
+        # Return the fractional bands of wavelengths [nm] in some columns, to a little beyond the array.
+        shape = np.broadcast_shapes(np.shape(wavelength), column.shape)
+        low, high = np.full(shape, -0.05 * self.bands - 2.0), np.full(shape, 1.05 * self.bands + 1.0)
+        is_rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            is_below = (self.at(middle, column) < wavelength) == is_rising
+            low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    def grid(self) -> tuple[Floats, Floats]:
+        # Return wavelength and spacing of every element (band, cross_track) [nm].
+        band, column = np.meshgrid(np.arange(self.bands), np.arange(self.columns), indexing="ij")
+        return self.at(band, column), self.spacing(band, column)
+
+    def _scaled(self, band: Floats, column: Floats) -> tuple[Floats, Floats]:
+        band, column = np.broadcast_arrays(band, np.clip(column, *self.lit))
+        return 2.0 * band / max(self.bands - 1, 1) - 1.0, 2.0 * column / max(self.columns - 1, 1) - 1.0
+
+
+def fit_wavelength_map(
+    band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
+    column_degree: int | None = None, uncertainty: Floats | None = None,
+) -> WavelengthMap:  # fmt: skip
+    # Return the robust low-order surface through centres of lamp lines; SchemaError if they are too few.
+    #
+    # ``band`` and ``column`` (line,) are the position of each lamp line, in fractional bands, ``wavelength``
+    # (line,) the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of its centre
+    # [band]; ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None
+    # for the lowest of 0 to 4 that suffices.
+    n_wavelengths = len(np.unique(np.round(wavelength, 6)))
+    n_columns = len(np.unique(column))
+    degree = min(BAND_DEGREE, n_wavelengths - 2)
+    SchemaError.raise_if(
+        degree < 1,
+        f"lamp lines of {n_wavelengths} wavelengths",
+        expected="3 or more for a wavelength map",
+        code="lamp-lines-few",
+    )
+    degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < n_columns]
+    weight = np.ones_like(band)
+    if uncertainty is not None:
+        # the monochromator's dial limits the accuracy of bright lamp lines, so their weight is limited
+        weight = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
+        weight /= weight.mean()
+
+    bands, columns = sizes
+    u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
+    lit = (int(column.min()), int(column.max()))
+    best, lowest = None, np.inf
+    for trial in degrees:
+        shape = (degree + 1, min(trial, max(n_columns - 1, 0)) + 1)
+        terms = np.asarray(chebyshev.chebvander2d(u, v, [size - 1 for size in shape]), np.float64)
+        coefficients, is_inlier = _robust_fit(terms, wavelength, weight, tolerance=1e-7)
+        freedom = max(is_inlier.sum() - terms.shape[1], 1)
+        rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
+        # Bayesian information criterion, with a lower limit for rounding of counts
+        criterion = band.size * 2.0 * np.log(rms + 1e-6) + coefficients.size * np.log(band.size)
+        if best is None or criterion < lowest:
+            best, lowest = WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms), criterion
+    assert best is not None
+    return best
+
+
+def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) -> tuple[Floats, Bools]:
+    # Return the coefficients of terms (line, term), and which values have weight: least squares, reweighted
+    # by Tukey's biweight until the coefficients change by less than a tolerance.
+    tukey, coefficients = np.ones_like(values), np.zeros(terms.shape[1])
+    for _ in range(_ROUNDS):
+        normal = np.einsum("ni,n,nj->ij", terms, prior * tukey, terms, optimize=True)
+        previous, right = coefficients, terms.T @ (prior * tukey * values)
+        coefficients = np.linalg.lstsq(normal, right, rcond=None)[0]
+        residual = values - terms @ coefficients
+        sigma = 1.4826 * float(np.median(np.abs(residual)))
+        if sigma < 1e-9 or np.abs(coefficients - previous).max() < tolerance:
+            break
+        z = residual / (_TUKEY_SD * sigma)
+        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+    return coefficients, tukey > 0
+
+
+def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
+    # Return the width of every band [nm] by a robust fit to widths of steps, constant beyond them.
+    #
+    # ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
+    # ``at`` (band,) are the wavelengths of the result; all in nm.
+    low, high = float(wavelength.min()), float(wavelength.max())
+    scale = max(high - low, 1.0)
+    degree = max(min(degree, len(wavelength) - 2), 0)
+    terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
+    prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
+    coefficients, _ = _robust_fit(terms, width, prior / prior.mean(), tolerance=0.0)
+    return np.asarray(chebyshev.chebval(2.0 * (np.clip(at, low, high) - low) / scale - 1.0, coefficients))
+
+
+_MIN_BRIGHT_SHARE = 0.12  # share of a lamp line's height above which a dead element is visible
+_MIN_DEVIATION_SHARE = 0.5  # deviation of a dead element, as a share of its lamp line
+MIN_BIN_SAMPLES = 20
+_CENTRE_STEP_BANDS = 0.01  # [band], step of a derivative
+
+
+def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap) -> Floats:
+    # Return the width of the camera at every step (step,) [nm]; interpolated over steps without valid lamp
+    # lines.
+    widths = lamp_lines.camera_width * wavelength_map.spacing(
+        np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2])
+    )
+    count = lamp_lines.trusted.sum(axis=1)
+    fitted_steps = np.flatnonzero(
+        count >= max(0.5 * count.max(), 1)
+    )  # a few lamp lines at the edge may all be wrong
+    return np.asarray(
+        np.interp(
+            lab.wavelength,
+            lab.wavelength[fitted_steps],
+            row_medians(widths, lamp_lines.trusted)[fitted_steps],
+        )
+    )
+
+
+def _unit_lines(
+    lab: LabSweep,
+    window: Window,
+    step: int,
+    wavelength_map: WavelengthMap,
+    centre: Floats,
+    width: float,
+    shape: int,
+) -> Floats:
+    # Return lamp lines of unit area (line, sample) at centres (line,) [band].
+    spacing = wavelength_map.spacing(centre, window.columns)
+    unit = np.empty(window.values.shape)
+    profiles(
+        window.places - centre[:, None], width / spacing, lab.width[step] / spacing, shape, lab.triangular,
+        unit,
+    )  # fmt: skip
+    return unit
+
+
+def deviant_elements(
+    lab: LabSweep, sweep_data: SweepData, lamp_lines: LampLines, wavelength_map: WavelengthMap, shape: int
+) -> Bools:
+    # Return the elements (band, cross_track) whose counts do not fit the lamp lines that cover them.
+    #
+    # Centre and width of a lamp line follow from all other lamp lines, which one dead element does not
+    # affect; its height is the median over its bands. One side suffices for lamp lines at the edge of the
+    # array.
+    _, bands, columns = lab.shape
+    suspect, tested = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
+    widths = _camera_widths(lab, lamp_lines, wavelength_map)
+    centres = wavelength_map.band_of(lab.wavelength[:, None], np.arange(columns))
+    for step, window in enumerate(sweep_data.windows):
+        if window is None:
+            continue
+        centre = centres[step, window.columns]
+        is_cut = (window.first < 0) | (window.first + window.values.shape[1] > bands)
+        reach = widths[step] / float(np.median(wavelength_map.spacing(centre, window.columns))) + 2.0
+        is_at_edge = is_cut.any() and abs(float(np.median(centre)) - window.band) < reach
+        if not (lamp_lines.trusted[step].any() or is_at_edge):
+            continue
+        unit = _unit_lines(lab, window, step, wavelength_map, centre, float(widths[step]), shape)
+        is_bright = np.isfinite(window.values) & (unit > _MIN_BRIGHT_SHARE * unit.max(axis=1, keepdims=True))
+        is_bright &= (~window.saturated & (is_bright.sum(axis=1) >= 3))[:, None]
+        rows = is_bright.any(axis=1)
+        if not rows.any():
+            continue
+        ratio = np.full(unit.shape, np.nan)
+        np.divide(window.values, unit, out=ratio, where=is_bright)
+        height = np.zeros((len(unit), 1))
+        height[rows, 0] = np.nanmedian(ratio[rows], axis=1)
+        noise = 8.0 * np.sqrt(sweep_data.noise.variance(height * unit, float(lab.frames[step])))
+        deviation = np.abs(np.where(is_bright, window.values, 0.0) - height * unit)
+        is_bright &= noise < np.abs(height) * unit  # elsewhere noise hides a dead element
+        is_deviant = is_bright & (deviation > np.maximum(noise, _MIN_DEVIATION_SHARE * np.abs(height) * unit))
+        band = window.places.astype(np.int64)
+        column = np.broadcast_to(window.columns[:, None], band.shape)
+        for mask, counter in ((is_deviant, suspect), (is_bright, tested)):
+            np.add.at(counter, (band[mask], column[mask]), 1)
+    return np.asarray((suspect > 0) & (2 * suspect > tested))
+
+
+def element_differences(
+    lab: LabSweep,
+    sweep_data: SweepData,
+    lamp_lines: LampLines,
+    wavelength_map: WavelengthMap,
+    shape: int,
+    *,
+    has_noise: bool,
+) -> tuple[float, float]:
+    # Return the standard deviation of the factors of elements [1], beyond noise, and a slope of noise.
+    #
+    # The slope is that of the variance of a step's mean over the signal [count], 0 with ``has_noise``.
+    # A fit of four parameters hides most of them, since a lamp line is a few bands wide. So centre and width
+    # are taken from the map, and only height and a small shift are fitted. Without ``has_noise``,
+    # ``sweep_data.noise`` is not valid for bright samples, and their noise is determined too.
+    from scipy.optimize import nnls
+
+    widths = _camera_widths(lab, lamp_lines, wavelength_map)
+    centres = wavelength_map.band_of(lab.wavelength[:, None], np.arange(lab.shape[2]))
+    tally, shares = np.zeros((4, SIGNAL_BINS)), []
+    for step, window in enumerate(sweep_data.windows):
+        if window is None or not lamp_lines.trusted[step].any():
+            continue
+        is_usable = np.isfinite(window.values).all(axis=1) & lamp_lines.trusted[step, window.columns]
+        if not is_usable.any():
+            continue
+        # error of the dial and slope shift are common to the columns
+        centre = centres[step, window.columns]
+        centre = centre + np.median((lamp_lines.centre[step, window.columns] - centre)[is_usable])
+        unit_before, unit, unit_after = (
+            _unit_lines(lab, window, step, wavelength_map, centre + centre_shift, float(widths[step]), shape)[
+                is_usable
+            ]
+            for centre_shift in (-_CENTRE_STEP_BANDS, 0.0, _CENTRE_STEP_BANDS)
+        )
+        values = window.values[is_usable]
+        slope = unit_after - unit_before
+        # Lamp lines of fitted height, residuals after a small shift, and the freedom of each sample.
+        # For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
+        first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
+        second = slope - (slope * first).sum(axis=1, keepdims=True) * first
+        second /= np.sqrt(np.maximum((second**2).sum(axis=1, keepdims=True), 1e-300))
+        model = np.maximum((values * first).sum(axis=1, keepdims=True), 1e-300) * first
+        residual = values - model
+        residual -= (residual * second).sum(axis=1, keepdims=True) * second
+        freedom = 1.0 - first**2 - second**2
+        excess = residual**2 - sweep_data.noise.variance(model, float(lab.frames[step])) * freedom
+        # samples that are not bright contain scattered light
+        is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)
+        shares.append(excess[is_bright].sum() / (model**2 * freedom)[is_bright].sum())
+        tally += binned(
+            model[is_bright], *(weight[is_bright] for weight in (model * freedom, model**2 * freedom, excess))
+        )
+    is_used = tally[0] >= MIN_BIN_SAMPLES
+    if has_noise:
+        return float(np.sqrt(max(float(np.median(shares)), 0.0))) if shares else 0.0, 0.0
+    if is_used.sum() < 2:
+        return 0.0, 0.0
+    # excess variance = slope x signal + (relative x signal)^2
+    signal, square, excess = (row[is_used] / tally[0][is_used] for row in tally[1:])
+    weight = np.sqrt(tally[0][is_used]) / np.maximum(np.abs(excess), 1e-12)
+    slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
+    return float(np.sqrt(relative)), float(slope)
+
+
+#: Largest distance of a lamp line from the wavelength map [nm].
+MAX_MISPLACEMENT_NM = 0.5
+#: Largest chi2 relative to the step's median; above, a lamp line contains several dead elements.
+MAX_RELATIVE_CHI2 = 20.0
+#: Largest deviation of a width from the step's median [1].
+MAX_WIDTH_DEVIATION = 0.3
+
+
+def line_wavelengths(lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats) -> Floats:
+    # Return mapped wavelengths of lamp line centres (step, cross_track) [nm], less the slope shift.
+    wavelength = (
+        wavelength_map.at(np.nan_to_num(lamp_lines.centre), np.arange(lamp_lines.centre.shape[1]))
+        - slope_shift[:, None]
+    )
+    return np.asarray(np.where(np.isfinite(lamp_lines.centre), wavelength, np.nan))
+
+
+def placed_lines(
+    lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats
+) -> Bools:
+    # Return the valid fits (step, cross_track) with typical width and chi2 that agree with the map.
+    distance = np.abs(line_wavelengths(lamp_lines, wavelength_map, slope_shift) - lab.wavelength[:, None])
+    misfit = np.where(lamp_lines.trusted, lamp_lines.chi2 / lamp_lines.degrees, np.nan)
+    width = np.where(lamp_lines.trusted, lamp_lines.camera_width, np.nan)
+    median, median_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
+    with np.errstate(invalid="ignore"):
+        is_typical = misfit < MAX_RELATIVE_CHI2 * median
+        is_typical &= np.abs(width / median_width - 1.0) < MAX_WIDTH_DEVIATION
+        return np.asarray(is_typical & (distance < max(MAX_MISPLACEMENT_NM, 6.0 * wavelength_map.residual)))
+
+
+def band_widths(
+    lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap, is_placed: Bools
+) -> Floats:
+    # Return the camera's width of every band (band,) [nm] from the placed lamp lines.
+    steps = np.flatnonzero(is_placed.any(axis=1))
+    spacing = wavelength_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
+    widths = np.where(is_placed, lamp_lines.camera_width * spacing, np.nan)[steps]
+    uncertainties = np.where(is_placed, lamp_lines.camera_width_u * spacing, np.nan)[steps]
+    return fit_width(
+        lab.wavelength[steps],
+        np.nanmedian(widths, axis=1),
+        np.nanmedian(uncertainties, axis=1) / np.sqrt(is_placed[steps].sum(axis=1)),
+        wavelength_map.at(np.arange(lab.shape[1]), lab.shape[2] // 2),
+    )
+
+
+def at_steps(lab: LabSweep, wavelength_map: WavelengthMap, values: Floats) -> Floats:
+    # Return a property of the bands (band,) at the wavelengths of the steps (step,).
+    centre = wavelength_map.at(np.arange(lab.shape[1]), lab.shape[2] // 2)
+    order = np.argsort(centre)
+    return np.interp(lab.wavelength, centre[order], values[order])
+
+
+#: Minimum visible share of a lamp line's area at the edge [1].
+MIN_VISIBLE_AREA = 0.3
+_MAX_EDGE_RESIDUAL = 0.15  # share of a lamp line's height; a larger residual belongs to another lamp line
+_EDGE_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where it is extrapolated
+
+
+def complete_edge_lines(
+    lab: LabSweep,
+    sweep_data: SweepData,
+    lamp_lines: LampLines,
+    wavelength_map: WavelengthMap,
+    light: Floats,
+    fwhm: Floats,
+    shape: str,
+) -> None:
+    # Fit the heights of lamp lines that are cut off by the edge of the array, and mark them as completed.
+    #
+    # ``lamp_lines`` is changed. ``light`` (step,) are the wavelengths of the lamp lines in the camera [nm],
+    # ``fwhm`` (step,) the width of the camera [nm], ``shape`` its line shape.
+    for step, window in enumerate(sweep_data.windows):
+        if window is None:
+            continue
+        is_cut = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
+        is_cut &= ~lamp_lines.trusted[step, window.columns] & ~window.saturated
+        if is_cut.any():
+            _complete_step(
+                lab, sweep_data.noise, lamp_lines, wavelength_map, step, window,
+                is_cut=is_cut, centre=wavelength_map.band_of(float(light[step]), window.columns),
+                fwhm=float(fwhm[step]), shape=shape,
+            )  # fmt: skip
+
+
+def _complete_step(
+    lab: LabSweep, noise: NoiseModel, lamp_lines: LampLines, wavelength_map: WavelengthMap, step: int,
+    window: Window, *,
+    is_cut: Bools, centre: Floats, fwhm: float, shape: str,
+) -> None:  # fmt: skip
+    spacing = wavelength_map.spacing(centre, window.columns)
+    width, source = fwhm / spacing, lab.width[step] / spacing
+    frames = float(lab.frames[step])
+
+    def profile(shift: float, width_factor: float) -> Floats:
+        out = np.empty(window.values.shape)
+        distance = window.places - (centre + shift)[:, None]
+        profiles(distance, width * width_factor, source, SHAPES[shape], lab.triangular, out)
+        return out
+
+    is_finite = np.isfinite(window.values)
+    values = np.where(is_finite, window.values, 0.0)
+    unit_profile = np.where(is_finite, profile(0.0, 1.0), 0.0)
+    variance = noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
+    weight = np.where(is_finite, 1.0 / np.maximum(variance, 1e-300), 0.0)
+    norm = np.maximum((weight * unit_profile**2).sum(axis=1), 1e-300)
+
+    def area_of(line_profile: Floats) -> Floats:
+        line_profile = np.where(is_finite, line_profile, 0.0)
+        height = (weight * line_profile * values).sum(axis=1)
+        return np.asarray(height / np.maximum((weight * line_profile**2).sum(axis=1), 1e-300))
+
+    fitted = area_of(unit_profile)
+    visible = unit_profile.sum(axis=1)
+    area = values.sum(axis=1) + (1.0 - visible) * fitted
+    # uncertainty of the area by centre, width and noise
+    change_by_centre, change_by_width = (
+        (1.0 - visible) * (area_of(changed_profile) - fitted) / 1e-3
+        - (changed_profile * is_finite - unit_profile).sum(axis=1) * fitted / 1e-3
+        for changed_profile in (profile(1e-3, 1.0), profile(0.0, 1.0 + 1e-3))
+    )
+    variance_by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1)
+    variance_by_noise = variance_by_noise + (1.0 - visible) ** 2 / norm
+    area_variance = (
+        variance_by_noise
+        + (change_by_centre * wavelength_map.residual / spacing) ** 2
+        + (change_by_width * _EDGE_WIDTH_U) ** 2
+    )
+    residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit_profile, 0.0))
+    height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
+    # one free parameter: residuals above noise are dead elements, or another lamp line
+    is_complete = (
+        is_cut
+        & (visible >= MIN_VISIBLE_AREA)
+        & (fitted > 0)
+        & np.isfinite(area_variance)
+        & ~(residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])).any(axis=1)
+    )
+    index = (step, window.columns[is_complete])
+    lamp_lines.area[index] = area[is_complete]
+    lamp_lines.area_u[index] = np.sqrt(area_variance[is_complete]) / area[is_complete]
+    lamp_lines.centre[index] = centre[is_complete]
+    lamp_lines.completed[index] = True
+    lamp_lines.covariance[(*index, AREA, AREA)] = area_variance[is_complete]
+
+
+# --- from the areas of lamp lines to the gain of every element ---------------------------------------------
+
+
+_MAX_GAP_STEPS = 3.0  # median steps; wider gaps are not interpolated
+
+
+def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> Floats:
+    # Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit".
+    if shape == "gaussian":
+        return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
+    return np.asarray(fwhm**2 / 6.0 if shape == "triangle" else (fwhm**2 + np.square(spacing)) / 12.0)
+
+
+def second_order_factor(
+    wavelength: Floats, level: Floats, camera_variance: Floats, source_variance: Floats
+) -> Floats:
+    # Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
+    #
+    # ``wavelength`` (step,) [nm]; ``level`` (step,) is the responsivity from the lamp lines' areas at any
+    # scale, median of the columns, NaN where unknown; ``camera_variance`` and ``source_variance`` (step,) are
+    # those of the camera's line shape and of the monochromator's [nm2].
+    factor = np.ones_like(level)
+    positive = np.flatnonzero(np.isfinite(level) & (level > 0))
+    if positive.size < 5:
+        return factor
+    x, y = wavelength[positive], level[positive]
+    step_before, step_after = np.diff(x)[:-1], np.diff(x)[1:]
+    curvature = (
+        2.0 * ((y[2:] - y[1:-1]) / step_after - (y[1:-1] - y[:-2]) / step_before) / (step_before + step_after)
+    )
+    relative_curvature = np.empty_like(y)
+    relative_curvature[1:-1] = curvature / y[1:-1]
+    relative_curvature[0], relative_curvature[-1] = relative_curvature[1], relative_curvature[-2]
+    # smoothed, since noise of a second difference is six times that of the values
+    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * np.convolve(
+        np.pad(relative_curvature, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid"
+    )
+    return np.clip(factor, 0.9, 1.1)
+
+
+def monotone_slopes(x: Floats, y: Floats) -> Floats:
+    # Return slopes at nodes ``x`` (node,) for interpolation of ``y`` (node, column) without ringing.
+    #
+    # Slopes of a cubic spline, of fourth order. Where curvature changes sign, they are limited
+    # as by Fritsch and Carlson (Hyman 1983), which keeps monotone pieces monotone.
+    from scipy.interpolate import CubicSpline
+
+    if len(x) < 3:
+        return np.repeat(np.diff(y, axis=0) / np.diff(x)[:, None], len(x), axis=0)
+    slope = np.asarray(CubicSpline(x, y, axis=0).derivative()(x))
+    secant = np.diff(y, axis=0) / np.diff(x)[:, None]
+    secant_before, secant_after = np.vstack([secant[:1], secant]), np.vstack([secant, secant[-1:]])
+    limit = 3.0 * np.minimum(np.abs(secant_before), np.abs(secant_after))
+    limited = np.clip(slope, -limit, limit)
+    limited = np.where((secant_before * secant_after > 0) & (limited * secant_before < 0), 0.0, limited)
+    curvature = np.sign(np.diff(secant, axis=0))
+    # concave or convex at a node and both its neighbours: a smooth extremum, not the foot of a step
+    padded = np.vstack([curvature[:1], curvature[:1], curvature, curvature[-1:], curvature[-1:]])
+    is_smooth = (padded[:-2] == padded[1:-1]) & (padded[1:-1] == padded[2:]) & (padded[1:-1] != 0)
+    return np.asarray(np.where(is_smooth, slope, limited))
+
+
+def interpolate_nodes(
+    x: Floats, y: Floats, used: Bools, at: Floats, tolerance: float = 0.0
+) -> tuple[Floats, Bools]:
+    # Return each column's values (place, column) between its used nodes, and where they are finite.
+    #
+    # ``x`` (node,) increases; ``y`` and ``used`` (node, column): columns with fewer than four used nodes get
+    # nothing; ``at`` (place, column) may lie ``tolerance`` beyond the outer nodes. NaN beyond them and in
+    # gaps of over three steps.
+    values = np.full(at.shape, np.nan)
+    patterns, member = np.unique(used, axis=1, return_inverse=True)
+    max_gap = _MAX_GAP_STEPS * float(np.median(np.diff(x)))
+    for index in range(patterns.shape[1]):
+        nodes = np.flatnonzero(patterns[:, index])
+        columns = np.flatnonzero(member.ravel() == index)
+        if nodes.size < 4:
+            continue
+        x_used, y_used, place = x[nodes], y[np.ix_(nodes, columns)], at[:, columns]
+        place = np.where((place < x_used[0]) & (place >= x_used[0] - tolerance), x_used[0], place)
+        place = np.where((place > x_used[-1]) & (place <= x_used[-1] + tolerance), x_used[-1], place)
+        # cubic Hermite polynomials between the nodes
+        left = np.clip(np.searchsorted(x_used, place, side="right") - 1, 0, len(x_used) - 2)
+        width = np.diff(x_used)[left]
+        u = (place - x_used[left]) / width
+        slope, column = monotone_slopes(x_used, y_used), np.arange(columns.size)
+        y0, y1 = y_used[left, column], y_used[left + 1, column]
+        m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
+        cubic = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
+        cubic += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
+        values[:, columns] = np.where((u >= 0) & (u <= 1) & (width <= max_gap), cubic, np.nan)
+    return values, np.isfinite(values)
+
+
+def element_gain(
+    step_wavelength: Floats,
+    node: Floats,
+    used: Bools,
+    wavelength: Floats,
+    etendue: Floats,
+    tolerance: float = 0.0,
+) -> tuple[Floats, Bools]:
+    # Return the gain of every element [W m-2 sr-1 nm-1 s count-1], and whether it is known.
+    #
+    # NaN where it would be extrapolated. ``node`` (step, cross_track) is the responsivity of a band times
+    # spacing, the integral of its response [count nm J-1], of the steps ``used`` there; ``step_wavelength``
+    # (step,) and ``wavelength`` (band, cross_track) of the elements [nm]; ``etendue`` (cross_track,) [m2 sr].
+    # Within the ``tolerance``, the uncertainty of the wavelengths [nm], an element counts as on the outer
+    # step.
+    log = np.log(np.where(used & (node > 0), node, 1.0))
+    log_gain, finite = interpolate_nodes(step_wavelength, log, used & (node > 0), wavelength, tolerance)
+    return np.asarray(np.exp(-log_gain) / etendue), finite
+
+
+_PARTS = 161  # points of the monochromator's line
+_REACH = {True: 1.0, False: 2.2}  # half support of a triangle and of a Gaussian in full widths
+
+
+def slope_shift_of_lines(
+    lab: LabSweep,
+    noise: NoiseModel,
+    slope: Floats,
+    camera_width: Floats,
+    spacing: Floats,
+    amplitude: Floats,
+    shape: str,
+) -> Floats:
+    # Return by how much a sloping responsivity shifts the centres of the lamp lines (step,) [nm].
+    #
+    # ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
+    # ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the
+    # height of the line [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
+    curvature = np.gradient(slope, lab.wavelength)
+    shifts = np.zeros(len(slope))
+    for step, source in enumerate(lab.width):
+        offset = np.linspace(-1.0, 1.0, _PARTS) * _REACH[lab.triangular] * source
+        light = (
+            np.maximum(1.0 - np.abs(offset) / source, 0.0)
+            if lab.triangular
+            else np.exp(-4.0 * np.log(2.0) * (offset / source) ** 2)
+        )
+        light *= np.exp(slope[step] * offset + 0.5 * curvature[step] * offset**2)
+        # a lamp line of this light in units of bands, and the shift of its fitted centre
+        place, width, slit = (nm / spacing[step] for nm in (offset, camera_width[step], source))
+        half = int(np.ceil(2.2 * np.hypot(width, slit) + 2.0))
+        bands = np.arange(-half, half + 1, dtype=np.float64)
+        parts = np.empty((_PARTS, bands.size))
+        widths, zeros = np.full(_PARTS, width), np.zeros(_PARTS)
+        profiles(bands - place[:, None], widths, zeros, SHAPES[shape], False, parts)
+        line = (light / light.sum()) @ parts
+        line *= amplitude[step] / line.max()
+        variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
+        samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
+        fits = fitted(samples, SHAPES[shape], lab.triangular, np.array([[0.0, width, line.sum(), 0.0]]))
+        shifts[step] = spacing[step] * (fits.parameters[0, CENTRE] if fits.converged[0] else 0.0)
+    return shifts
+
+
+# --- read all steps of a sweep once, one after the other, and fit their lamp lines -------------------------
+
+
+Tick = Callable[[], None]
+
+#: Sources of a noise model; the third source is the sweep's own statement.
+FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
+
+_MIN_CLIPPED_BANDS = (
+    3  # bands of a column at the highest count of the sweep; a lamp line that is not clipped has one or two
+)
+_COUNT_TOLERANCE = 0.25
+_MIN_EDGE_DISTANCE = 0.5  # minimum distance of a lamp line's centre from the edge of the array [full widths]
+_SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
+SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class SweepData:
+    # Data of a sweep that are kept after reading.
+    windows: list[Window | None]  #: Window of every step; None without a lamp line
+    rows: Floats  #: (step, band): counts outside the lines relative to the lines' areas
+    noise: NoiseModel  #: Noise of one frame
+    noise_source: str  #: Source of the noise model
+
+
+@dataclass(eq=False)
+class LampLines:
+    # Fitted lamp lines of all steps, (step, cross_track) except where noted; NaN without a line.
+    centre: Floats
+    camera_width: Floats
+    width: Floats
+    amplitude: Floats
+    area: Floats
+    area_u: Floats
+    centre_u: Floats
+    camera_width_u: Floats
+    covariance: Floats
+    chi2: Floats
+    degrees: Floats
+    trusted: Bools
+    completed: Bools
+
+    @classmethod
+    def empty(cls, steps: int, columns: int) -> LampLines:
+        # Return lines without any fit.
+        lamp_lines = cls(*(np.full((steps, columns), np.nan) for _ in fields(cls)))
+        lamp_lines.covariance = np.full((steps, columns, 4, 4), np.nan)
+        lamp_lines.trusted, lamp_lines.completed = np.zeros((2, steps, columns), np.bool_)
+        return lamp_lines
+
+    def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
+        # Store the fits of one step.
+        index = (step, window.columns)
+        self.centre[index] = fits.parameters[:, CENTRE]
+        self.camera_width[index] = fits.parameters[:, WIDTH]
+        self.width[index] = fits.width
+        self.amplitude[index] = fits.amplitude
+        self.area[index] = fits.area
+        with np.errstate(invalid="ignore"):
+            self.area_u[index] = np.sqrt(fits.area_variance) / fits.area
+            self.centre_u[index] = np.sqrt(fits.covariance[:, CENTRE, CENTRE])
+            self.camera_width_u[index] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
+        self.covariance[index] = fits.covariance
+        self.chi2[index], self.degrees[index] = fits.chi2, fits.degrees
+        centre, margin = fits.parameters[:, CENTRE], _MIN_EDGE_DISTANCE * fits.width
+        with np.errstate(invalid="ignore"):
+            is_inside = (centre >= margin) & (centre <= bands - 1 - margin)
+        self.trusted[index] = fits.converged & is_inside & ~window.saturated & np.isfinite(self.area_u[index])
+
+
+def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None, tick: Tick) -> SweepData:
+    # Read every step once and keep the windows around its lamp lines.
+    #
+    # SchemaError if the lamp lines do not move along the array with the wavelengths, or columns without flux
+    # are lit; a warning if lamp lines look clipped and ``saturation_count`` is missing.
+    steps, bands, _ = lab.shape
+    windows: list[Window | None] = []
+    rows = np.zeros((steps, bands))
+    tally = np.zeros((3, SIGNAL_BINS))
+    scatter = []
+    highest = np.full(bad.shape, -np.inf)
+    for step in range(steps):
+        raw = lab.frame(step)
+        highest = np.fmax(highest, raw)
+        net = curve.net(raw, lab.dark.at(float(lab.exposure[step])))
+        if lab.band_shift_time:
+            smear = smear_of(lab.band_shift_time, float(lab.exposure[step]), bands)
+            net = net - smear * np.nansum(net, axis=0)
+        if lab.variance is not None:
+            variance = np.asarray(lab.variance.isel({STEP: step}).to_numpy(), np.float64)
+            is_saturated = lab.saturation is not None and raw >= lab.saturation - float(
+                SATURATION_MARGIN_COUNTS
+            )
+            is_counted = np.isfinite(net) & np.isfinite(variance) & ~(bad | is_saturated)
+            tally += binned(net[is_counted], net[is_counted], variance[is_counted])
+        if flat is not None:
+            net = net * flat
+        window = find_line(net, raw, bad, lab.saturation)
+        if window is not None:
+            rows[step] = window.out_of_band
+            far_counts = net[np.abs(np.arange(bands) - window.band) > 0.25 * bands]
+            scatter.append(
+                1.4826**2 * np.nanmedian((far_counts - np.nanmedian(far_counts)) ** 2) * lab.frames[step]
+            )
+        windows.append(window)
+        tick()
+    _check_monotone(lab, windows)
+    # lit columns without flux or capture fraction
+    missing_flux = [
+        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
+        for step, window in enumerate(windows)
+        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
+    ]
+    if missing_flux:
+        raise refused(
+            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+            mend="measure it there",
+            code="flux-missing",
+        )
+    # one highest count that repeats along a column
+    if lab.saturation is None:
+        highest = np.where(bad, -np.inf, highest)
+        is_highest = highest >= highest.max() - _COUNT_TOLERANCE
+        warn_if(
+            (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any(),
+            f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
+            f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
+            "give saturation_count",
+            "saturation-missing",
+        )
+    return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
+
+
+def binned(signal: Floats, *values: Floats) -> Floats:
+    # Return, for bins of the signal [count], the number of samples and the sums of values (row, bin).
+    bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
+    return np.stack([np.bincount(bins, weight, SIGNAL_BINS) for weight in (None, *values)])
+
+
+def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
+    # Return the noise by photon transfer of the sweep, else as stated, else by scatter off the lamp lines.
+    dark_variance = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
+    dark_share = lab.dark.leverage(float(np.median(lab.exposure))) / (
+        lab.dark_frames or np.median(lab.frames)
+    )
+    is_used = tally[0] > 50
+    if is_used.sum() >= 3 and tally[2][is_used].any():
+        count, (signal, variance) = tally[0][is_used], tally[1:, is_used] / tally[0][is_used]
+        weight = np.sqrt(count) / np.maximum(variance, 1e-6)
+        constant, slope = np.linalg.lstsq(
+            np.column_stack([np.ones_like(signal), signal]) * weight[:, None], variance * weight, rcond=None
+        )[0]
+        if slope > 0:
+            constant = max(float(constant), 0.0)
+            return NoiseModel(
+                constant, float(slope), dark_variance or constant * float(dark_share)
+            ), FROM_FRAMES
+    if lab.electrons_per_count is not None:
+        constant = (lab.read_noise or 0.0) ** 2 + QUANTISATION_VARIANCE_COUNT2
+        return NoiseModel(
+            constant, 1.0 / lab.electrons_per_count, dark_variance or constant * float(dark_share)
+        ), "as stated"
+    # scatter includes the noise of the dark
+    return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
+
+
+def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
+    peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
+    if len(peaks) < 3:
+        return
+    peak_bands = np.array([band for _, band in peaks])
+    steps_of_peaks = np.diff(peak_bands)
+    reversed_steps = np.flatnonzero(steps_of_peaks * np.sign(np.median(steps_of_peaks)) < -2)
+    if reversed_steps.size:
+        listed_peaks = listed(
+            [
+                f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
+                for k in reversed_steps
+            ]
+        )
+        raise refused(
+            f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
+            mend="check that counts and step_wavelength belong together, in order",
+            code="steps-unordered",
+        )
+
+
+def fit_steps(
+    lab: LabSweep,
+    sweep_data: SweepData,
+    shape: int,
+    tick: Tick,
+    first: tuple[WavelengthMap, list[Fits | None]] | None = None,
+) -> tuple[LampLines, list[Fits | None]]:
+    # Return the lamp lines of all steps, and the fits of every step (None for a step without a line).
+    #
+    # Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
+    # wavelength map and first fits, they are fits of the camera's response convolved with that line.
+    lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
+    fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
+    for step, window in enumerate(sweep_data.windows):
+        if window is not None:
+            light, start = Light(np.zeros(len(window.columns)), False), None
+            if first is not None and (start := first[1][step]) is not None:
+                spacing = first[0].spacing(start.parameters[:, CENTRE], window.columns)
+                light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
+            fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), shape, light, start)
+            lamp_lines.store(step, window, fits, lab.shape[1])
+            fits_of_steps[step] = fits
+        tick()
+    return lamp_lines, fits_of_steps

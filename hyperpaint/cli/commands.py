@@ -664,7 +664,7 @@ def make_signatures(
         )
     out = out or beside(store, "paints.zarr")
     with progress_bar("flags and signatures" if flags else "extracting") as progress:
-        library = workflows.library_files.write_signatures(
+        library = workflows.field_day.write_signatures(
             store,
             regions,
             out,
@@ -674,7 +674,7 @@ def make_signatures(
             progress=progress,
             **options,
         )
-    if flags and library.attrs["flags"] == workflows.library_files.NOT_DETECTED:
+    if flags and library.attrs["flags"] == workflows.field_day.NOT_DETECTED:
         click.echo(
             "glint, shadow and light of neighbours are not flagged on a map; signatures from the store of "
             "the flight line exclude them",
@@ -682,7 +682,7 @@ def make_signatures(
         )
     for text in library.attrs.get("left_out", ()):
         click.echo(f"left out {text}", err=True)
-    table = workflows.library_files.table_of(library)
+    table = workflows.field_day.table_of(library)
     click.echo(f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands\n{table}")
 
 
@@ -807,13 +807,13 @@ def validate(
     outside tolerance, if a reference named by a region is missing, or if a part has too few bands to judge.
     """
     if out is not None:
-        workflows.library_files.check_table(out, overwrite=overwrite)
+        workflows.field_day.check_table(out, overwrite=overwrite)
     if picture is not None:
         check_picture(picture)
-    validation = workflows.library_files.validate_files(library, references, **without_none(options))
+    validation = workflows.field_day.validate_files(library, references, **without_none(options))
     click.echo(validation.table())
     if out is not None:
-        workflows.library_files.write_table(validation, out, overwrite=overwrite)
+        workflows.field_day.write_table(validation, out, overwrite=overwrite)
         click.echo(f"all digits are in {out}")
     if picture is not None:
         hp.pictures.validation_figure(validation, picture)

@@ -98,7 +98,7 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 def _envi(path: Path) -> Facts:
 
     from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
-    from hyperpaint.io.flightline.headwall import exposure_seconds
+    from hyperpaint.io.flightline.side_files import exposure_seconds
     from hyperpaint.io.navigation.navigation_records import is_eph_att
 
     header_path, data = find_pair(path)
@@ -182,7 +182,7 @@ def _asd(path: Path) -> Facts:
 
 def _svc(path: Path) -> Facts:
 
-    from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
+    from hyperpaint.io.spectrometers.spectrum_texts import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap, position = overlap_of(file.header), position_of(file.header, 1)
@@ -291,7 +291,7 @@ def _materials(path: Path) -> Facts:
 
 def _frame_index(path: Path) -> Facts:
 
-    from hyperpaint.io.flightline.headwall import read_frame_index
+    from hyperpaint.io.flightline.side_files import read_frame_index
 
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
@@ -367,7 +367,7 @@ def _poses(path: Path) -> Facts:
 
 def _settings(path: Path) -> Facts:
 
-    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
+    from hyperpaint.io.flightline.side_files import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -539,7 +539,7 @@ _BY_CONTENT = {
 
 def _file(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import sniff
-    from hyperpaint.io.spectrometers.svc import is_named_as_scans
+    from hyperpaint.io.spectrometers.spectrum_texts import is_named_as_scans
 
     name, suffix = path.name.lower(), path.suffix.lower()
     reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)

@@ -1,7 +1,7 @@
 from .dirsig import write_dirsig_scene as write_dirsig_scene
 from .envi.envi_cubes import EnviParser as EnviParser, write_envi as write_envi
-from .flightline.calibration_store import open_calibration as open_calibration, open_sweep as open_sweep
 from .flightline.flightline_opening import write_line_table as write_line_table
+from .flightline.side_files import open_calibration as open_calibration, open_sweep as open_sweep
 from .library.library_formats import check_library as check_library, declare_library as declare_library
 from .maps.map_grids import write_geotiff as write_geotiff
 from .navigation.navigation_records import read_control_points as read_control_points

@@ -122,7 +122,7 @@ class SvcBackendEntrypoint(_SpectrometerEntrypoint):
         quantity: str | None = None,
     ) -> xr.Dataset:
         # Open one spectrum; see `hyperpaint.open_svc` for ``quantity`` and the errors.
-        from .spectrometers.svc import open_svc
+        from .spectrometers.spectrum_texts import open_svc
 
         return _without(open_svc(filename_or_obj, quantity), drop_variables)
 

@@ -17,7 +17,7 @@ from dask.highlevelgraph import HighLevelGraph
 from scipy.linalg import solve_triangular
 
 from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problems, SchemaError, warn_if
 from hyperpaint.base.facts import one_of, takes_quantities
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
@@ -265,14 +265,14 @@ def make_detector(
         is_background[batch] = ~_is_near(*distances(spectra, paints, sky), exclusion_limit).any(axis=1)
         values[batch] = scores(spectra, project, method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
-    if explained > DETECTION.explained_ratio * rate:
-        warn_user(
-            f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
-            f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
-            "of these pixels show other objects, pass background= (--background) with similar pixels "
-            "that show no paint of the library",
-            "background-resembles-paints",
-        )
+    warn_if(
+        explained > DETECTION.explained_ratio * rate,
+        f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
+        f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
+        "of these pixels show other objects, pass background= (--background) with similar pixels "
+        "that show no paint of the library",
+        "background-resembles-paints",
+    )
     values = values[is_background]
     threshold = _score_thresholds(values, rate)
     checked_rate, checked_rate_u = _checked_rate(values, background.block[is_background], rate)

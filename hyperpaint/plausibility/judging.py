@@ -33,7 +33,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
 from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInputs, Timing
-from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
+from hyperpaint.io.flightline.side_files import cube_number, match_frames, read_frame_index
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, RECORD
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.radiometry.darks import SAME_EXPOSURE_SHARE, darks_of_lines

@@ -40,9 +40,9 @@ from hyperpaint.base import (
     rename_to_roles,
     require,
     takes_quantities,
+    warn_if,
     warn_user,
 )
-from hyperpaint.io.flightline.calibration_store import saturation_of
 from hyperpaint.io.flightline.flightline_opening import (
     MIN_NOISE_LINES,
     Reference,
@@ -53,7 +53,7 @@ from hyperpaint.io.flightline.flightline_opening import (
     read_reference,
     utc_of,
 )
-from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
+from hyperpaint.io.flightline.side_files import find_exposure, recording_clock, saturation_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store.reader import is_zarr, open_unverified
@@ -428,11 +428,11 @@ def _gain_variables(
     rates = np.stack([each.light / each.exposure for each in whites])
     is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in whites], axis=0)
     rates[:, ~is_used] = np.nan
-    if saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum():
-        warn_user(
-            f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
-            "white-saturated",
-        )
+    warn_if(
+        saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum(),
+        f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
+        "white-saturated",
+    )
     # light on the tile of every band, over that of the first white; bands without light keep 1
     totals = np.nansum(rates, axis=2)
     level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
@@ -449,12 +449,12 @@ def _gain_variables(
     lit = np.isfinite(rates[0]).any(axis=0)
     columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
     column_change = float(np.abs(columns - 1.0).max())
-    if column_change > MAX_COLUMN_CHANGE:
-        warn_user(
-            f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
-            "that of the other columns: tile or lamp have moved; name the white references of this setup",
-            "white-moved",
-        )
+    warn_if(
+        column_change > MAX_COLUMN_CHANGE,
+        f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
+        "that of the other columns: tile or lamp have moved; name the white references of this setup",
+        "white-moved",
+    )
     rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
     variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
     variance = variances.sum(axis=0) / len(whites) ** 2
@@ -470,12 +470,12 @@ def _gain_variables(
         values |= {"white_level": (("white_time", BAND), level), "white_time": (("white_time",), stamps)}
         # lines before the first or after the last white reference, whose light is not interpolated
         known = line["time"].values[~np.isnat(line["time"].values)]
-        if outside := int(((known < stamps[0]) | (known > stamps[-1])).sum()):
-            warn_user(
-                f"{outside} of {known.size} lines lie before the first or after the last white reference: "
-                "the light of the nearest one is used",
-                "white-held",
-            )
+        warn_if(
+            outside := int(((known < stamps[0]) | (known > stamps[-1])).sum()),
+            f"{outside} of {known.size} lines lie before the first or after the last white reference: "
+            "the light of the nearest one is used",
+            "white-held",
+        )
     if electrons := _electrons_per_count(line, whites, is_used):
         values["electrons_per_count"] = (), electrons
     return {

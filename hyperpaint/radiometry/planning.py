@@ -40,6 +40,7 @@ from hyperpaint.base import (
     one_of,
     require,
     unit_slip,
+    warn_if,
     warn_of_lost_calibration,
     warn_user,
 )
@@ -126,13 +127,13 @@ def tilt_factors(
     factors = np.empty((used.size, wavelength.size))
     fraction, state = fraction[used], state[used]
     is_modelled = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
-    if (state == _CONTRADICTORY).any():
-        warn_user(
-            f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
-            f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
-            "Tilt(diffuse_fraction=)",
-            "sky-unknown",
-        )
+    warn_if(
+        (state == _CONTRADICTORY).any(),
+        f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
+        f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
+        "Tilt(diffuse_fraction=)",
+        "sky-unknown",
+    )
     if is_modelled.any():
         factors[is_modelled] = factor(tilt, np.flatnonzero(is_modelled))
     for sample in np.flatnonzero(~is_modelled):
@@ -386,12 +387,12 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
     # Return the masked elements (band, column); `masked` is (column,), (band, 1) or (band, column).
     is_masked = np.broadcast_to(np.asarray(cube.get("masked", False), bool), dark.shape[1:])
-    if "masked" in cube and not (is_masked & np.isfinite(dark).all(axis=0)).any():
-        warn_user(
-            "'masked' is declared, but this part of the line has no masked element: no pedestal is "
-            "subtracted; compute reflectance of the whole line before cutting it",
-            "masked-missing",
-        )
+    warn_if(
+        "masked" in cube and not (is_masked & np.isfinite(dark).all(axis=0)).any(),
+        "'masked' is declared, but this part of the line has no masked element: no pedestal is "
+        "subtracted; compute reflectance of the whole line before cutting it",
+        "masked-missing",
+    )
     return is_masked
 
 

@@ -51,7 +51,7 @@ from hyperpaint.base import (
     rename_to_roles,
     require,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.light.illumination import (
@@ -425,12 +425,12 @@ def _labelled(
     expected = np.maximum(slope * signal + height, 1e-9)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
-    if misfit > MAX_MISFIT + 4.0 * misfit_sd:
-        warn_user(
-            f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
-            "within blocks, or the light flickers; check 'transfer_variance'",
-            "transfer-misfit",
-        )
+    warn_if(
+        misfit > MAX_MISFIT + 4.0 * misfit_sd,
+        f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
+        "within blocks, or the light flickers; check 'transfer_variance'",
+        "transfer-misfit",
+    )
     noise = float(np.sqrt(max(height - quantisation, 0.0)))
     # at zero noise, only the variance has an uncertainty
     noise_u = float(np.sqrt(covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan

@@ -56,8 +56,7 @@ from hyperpaint.base import (
     read_limited,
     schema,
 )
-from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-from hyperpaint.geometry.georeference.locating import POSE, locate
+from hyperpaint.geometry.georeference.locating import POSE, between_maps, crs_of, locate
 from hyperpaint.io.files.publishing import publish_file
 
 #: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.

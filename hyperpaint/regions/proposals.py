@@ -53,7 +53,7 @@ from hyperpaint.base import (
     takes_quantities,
 )
 from hyperpaint.geometry import locate
-from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.geometry.georeference.locating import between_maps, crs_of
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.light.sun import diffuse_fraction

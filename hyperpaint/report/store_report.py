@@ -48,7 +48,7 @@ from hyperpaint.base import (
     rename_to_roles,
     renamed,
     schema,
-    warn_user,
+    warn_if,
     with_new_names,
 )
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
@@ -972,8 +972,7 @@ def write_site(
         drawn = {"colours": colours, "outlines": list(outlines.values())}
         libraries.append({"name": name, "group": path, "variables": names, **drawn})
     for name, note in notes.items():
-        if note:
-            warn_user(f"/{name}: {note}", "group-not-shown")
+        warn_if(note, f"/{name}: {note}", "group-not-shown")
     StoreError.raise_if(
         not shown,
         f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",

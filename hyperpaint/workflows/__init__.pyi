@@ -3,7 +3,6 @@ from . import (
     demonstration as demonstration,
     field_day as field_day,
     field_folder as field_folder,
-    library_files as library_files,
     maps as maps,
     pipeline as pipeline,
     rendering as rendering,

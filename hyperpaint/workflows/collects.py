@@ -35,8 +35,8 @@ from hyperpaint.io.collect.collect_toml import (
     read_collect,
 )
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
-from hyperpaint.io.flightline.calibration_store import open_sweep
 from hyperpaint.io.flightline.flightline_opening import Reference, Timing, read_reference
+from hyperpaint.io.flightline.side_files import open_sweep
 from hyperpaint.io.spectrometers.record_faults import RECORD
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate, read_panel_table
 from hyperpaint.io.store import to_store

@@ -23,7 +23,7 @@ from hyperpaint.base import (
     flags_set_from,
     head_of,
 )
-from hyperpaint.io.spectrometers.svc import open_svc
+from hyperpaint.io.spectrometers.spectrum_texts import open_svc
 from hyperpaint.paints.signatures.extraction import EXCLUDED, extract_signatures
 from hyperpaint.regions.polygons import read_regions
 from hyperpaint.simulation import simulate_collect

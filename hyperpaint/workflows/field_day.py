@@ -1,30 +1,391 @@
 """A field day in one call: from a ``collect.toml`` to store, library, validation, maps and report.
 
 Steps are separate workflows. They are run in order; a step whose inputs have not changed is skipped.
+
+Paint libraries in files: signatures of the regions of a store, and validation of a library.
 """
 
+import contextlib
+import csv
 import functools
+import io
+import itertools
+import json
+import math
+import operator
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base import Alignment, CollectError, PaintError, Problems, SchemaError, one_of, part_of
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CROSS_TRACK,
+    Alignment,
+    CollectError,
+    PaintError,
+    Problems,
+    SchemaError,
+    StoreError,
+    flags_named,
+    one_of,
+    part_of,
+)
+from hyperpaint.geometry import locate
 from hyperpaint.geometry.orthorectification.mapping import describe_swath
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
 from hyperpaint.io.dirsig import write_dirsig
+from hyperpaint.io.files.publishing import check_place, publish_file
+from hyperpaint.io.files.reading import safe_cell
 from hyperpaint.io.library import open_library
 from hyperpaint.io.maps.map_grids import RGB_WAVELENGTHS, nearest_bands
-from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+from hyperpaint.io.store import budget, list_groups, open_store, to_store
 from hyperpaint.io.store.manifest import INPUTS
-from hyperpaint.regions import Regions, read_regions
+from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.planning import is_lamp_lit
+from hyperpaint.regions import Regions, read_regions, regions_from
+from hyperpaint.regions.proposals import propose_regions
 from hyperpaint.report.store_report import write_report
-from hyperpaint.validation import Validation
+from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.surroundings.surveying import Flagged, flag_line, is_flagged, without_scene_flags
+from hyperpaint.validation import Validation, validate
 
-from .library_files import validate_files, write_signatures, write_table
-from .maps import LINES, lines_of_store, map_of_store, mosaic_of_store, write_map
+from .maps import LINES, lines_of_store, location_of, map_of_store, mosaic_of_store, write_map
 from .pipeline import Record, StepOutcome, run, states_of
+
+MAX_LISTED_REJECTIONS = 10
+MAX_STORED_REJECTIONS = 200
+#: Attribute ``flags`` of a library from lines without flags of glint, shadow and neighbours.
+NOT_DETECTED = "not looked for"
+#: Options of `hyperpaint.surroundings.flag` that proposals of regions take too.
+_SHARED_OPTIONS = ("glint", "shadow", "adjacency", "sun_zenith")
+
+
+def write_signatures(
+    store: str | os.PathLike[str],
+    regions: Any,
+    out: str | os.PathLike[str],
+    *,
+    keep: Sequence[str] = (),
+    flags: bool | Mapping[str, Any] = True,
+    sun_zenith: float | None = None,
+    location: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    # Write the signatures of regions on the flight lines of a store, or on a map, and return them.
+    #
+    # Lines without flags are surveyed and flagged first. Reflectance is computed from stored counts if they
+    # exist, with its uncertainty if the noise of the camera is known; else the stored reflectance is used.
+    #
+    # ``store``: A store with groups ``flightlines/<id>``, as from `hyperpaint.process`; or a store of a
+    # single line or map, as from `hyperpaint.workflows.maps.write_map`. Flags are not detected on a map.
+    # ``regions``: See `hyperpaint.regions.regions_from`; None takes the regions that
+    # `hyperpaint.regions.propose_regions` proposes on every line, with the survey of the flags. ``keep``:
+    # Names of flags whose pixels are used, although they are excluded by default; not with ``exclude``.
+    # ``flags``: False detects no flags; a mapping holds thresholds of `hyperpaint.surroundings.flag` and
+    # options of its survey. ``sun_zenith``: Zenith angle of the sun for flags, proposals and the mirrored sky
+    # [degree]; by default from time and position of each line. ``location``: Options of
+    # `hyperpaint.workflows.maps.location_of`, which locate lines for regions in map coordinates; by default
+    # the attributes of the lines. ``progress``: Called with the work done and the total: surveys, then
+    # extraction. ``**options``: As `hyperpaint.extract_signatures`.
+    #
+    # Raises `FormatError, MissingExtraError, SchemaError, UnitsError`: As `hyperpaint.extract_signatures` and
+    # `hyperpaint.surroundings.flag`; or ``keep`` holds an unknown flag, or is combined with ``exclude``.
+    # Raises `StoreError`: The store lacks a flight line of the regions; or the library cannot be written, or
+    # ``out`` holds other data and ``overwrite`` is False.
+    library_path, store_path = Path(out).resolve(), Path(store).resolve()
+    SchemaError.raise_if(
+        library_path == store_path or store_path in library_path.parents,
+        f"{out} is in the store itself",
+        mend="choose another path for the library",
+        code="output-in-store",
+    )
+    if keep:
+        SchemaError.raise_if(
+            options.get("exclude") is not None,
+            "keep= and exclude= cannot be combined",
+            mend="pass one of them",
+            code="option-conflict",
+        )
+        options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
+    outlines = None if regions is None else regions_from(regions)
+    lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
+    maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
+    if location or (maps and outlines is None):
+        # Locate the lines, unless location does not apply
+        location = location or {}
+        problems = Problems("signatures cannot be extracted", SchemaError)
+        problems.add_if(
+            maps and outlines is None,
+            "regions are proposed on flight lines, not on a map",
+            mend="draw regions on the map",
+            code="regions-missing",
+        )
+        if location and maps:
+            problems.add(
+                "a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map"
+            )
+        elif location and (outlines is None or outlines.coordinates != "map"):
+            problems.add(
+                f"{', '.join(location)} need regions in map coordinates; "
+                "these regions are in sensor coordinates",
+                code="location-unused",
+            )
+        problems.raise_if_any()
+        lines = {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
+    # thresholds of the caller need flags of their own; proposals need the survey, which stores do not hold
+    is_set = flags is not False and (flags is not True or sun_zenith is not None)
+    stored = frozenset() if is_set else flagged_lines
+    kept = stored if outlines is not None else frozenset()
+    lamp_lit = {name for name, line in lines.items() if is_lamp_lit(line)}
+    without_flags = kept | maps | (lamp_lit if sun_zenith is None else set())
+    unflagged = [name for name in lines if flags is not False and name not in without_flags]
+    survey_options = {} if flags is True or flags is False else dict(flags)
+    survey_options.setdefault("sun_zenith", sun_zenith)
+    new_flags = {}
+    for number, name in enumerate(unflagged):
+        step_progress = part_of(progress, number, len(unflagged) + 1)
+        with survey_planned(lines[name], f"the survey of {name or store}"):
+            try:
+                line = without_scene_flags(lines[name])
+                new_flags[name] = flag_line(line, **{**survey_options, "progress": step_progress})
+            except PaintError as error:
+                error.note(
+                    f"flight line {name!r} has no flags of glint or shadow",
+                    mend="flags=False extracts without them",
+                    option="--no-flags extracts without them",
+                )
+                raise
+    origins = dict.fromkeys(lines, NOT_DETECTED)
+    for name in stored & set(lines):
+        text = lines[name]["quality"].attrs.get("flags_from", "not said from what")
+        origins[name] = f"those of the store, {text}"
+    found = {name: new.line for name, new in new_flags.items() if name not in stored}
+    origins |= {name: str(line["quality"].attrs["flags_from"]) for name, line in found.items()}
+    targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
+    lines |= found
+    if options.get("specular_sky"):
+        options["sun_zenith"] = sun_zenith
+        diffuse = survey_options.get("diffuse")
+        # diffuse="shadow" is an option of flags only
+        options.setdefault("diffuse", None if isinstance(diffuse, str) and diffuse == "shadow" else diffuse)
+    step_progress = part_of(progress, len(unflagged), len(unflagged) + 1)
+    with contextlib.ExitStack() as stack:
+        for name, line in lines.items():
+            if name not in maps:
+                load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
+                stack.enter_context(
+                    budget.planned(f"extracting from {name or store}", a_thread=load.a_thread, fixed=besides)
+                )
+        library = extract_signatures(lines, targets, progress=step_progress, **options)
+    library.attrs |= {"store": store_path.name, "flags": "; ".join(dict.fromkeys(origins.values()))}
+    if refused:
+        library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
+    to_store(library, Path(out), overwrite=overwrite)
+    return library
+
+
+def _open_lines(
+    store: str | os.PathLike[str], requested: tuple[str, ...]
+) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
+    # opened lines by name, and the names of lines that have flags
+
+    names, datasets = lines_of_store(store), {}
+    if list_groups(store) == [""]:
+        dataset = open_store(store)
+        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
+            datasets[str(dataset.attrs.get("name", ""))] = dataset
+    for name in names if not requested or not set(requested) <= set(names) else requested:
+        datasets[name] = open_store(store, f"{LINES}{name}")
+    StoreError.raise_if(
+        not datasets,
+        f"{store} holds no flight line",
+        expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
+        code="flightline-missing",
+    )
+    lines, flagged = {}, set()
+    for name, line in datasets.items():
+        # check the stored flags: computed flags would need all counts
+        if is_flagged(line):
+            flagged.add(name)
+        if "counts" in line.variables:
+            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
+        lines[name] = line
+    return lines, frozenset(flagged)
+
+
+def _propose(
+    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
+) -> tuple[Regions, list[str]]:
+    # accepted regions, and texts with place and reasons of rejected regions
+
+    # with several lines, names of paints start with the name of the line
+    proposals_by_line = {}
+    for name, line in lines.items():
+        prefix = "" if len(lines) == 1 else name
+        survey = flagged.get(name)
+        surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
+        # with the model of a survey, only the shared options remain
+        names = _SHARED_OPTIONS if survey else set(options) - {"edge"}
+        proposals_by_line[name] = propose_regions(
+            surveyed,
+            model,
+            flightline=name,
+            name=prefix,
+            **{key: options[key] for key in names if key in options},
+        )
+    regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))
+    refused = [
+        f"{name}, line {along:.0f}, column {across:.0f}: {'; '.join(region.properties['refused'])}"
+        for name, proposals in proposals_by_line.items()
+        for region in proposals.refused
+        for across, along in [region.polygon.mean(axis=0)]
+    ]
+    if not len(regions):
+        listed = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
+        raise SchemaError(
+            f"no region can be proposed, {len(refused)} were rejected{listed}",
+            mend="draw regions",
+            code="proposals-empty",
+        )
+    return regions, refused
+
+
+def table_of(library: xr.Dataset) -> str:
+    # Return a table of the paints of a library, one line each.
+    names = [str(name) for name in library["signature"].values]
+    width = max(map(len, names))
+    return "\n".join(
+        f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent"
+        + (f", {excluded} left out" if excluded else "")
+        for name, n, n_eff, excluded in zip(
+            names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True
+        )
+    )
+
+
+_TABLES = (".csv", ".json")
+_PAIR_COLUMNS = ("signature", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
+_OXYGEN = ("oxygen_residual", "reference_oxygen_residual")
+
+
+def validate_files(
+    library: str | os.PathLike[str],
+    references: Sequence[str | os.PathLike[str]] = (),
+    *,
+    pairs: str | os.PathLike[str] | None = None,
+    panel: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Validation:
+    # Compare a stored paint library with references in files; see `hyperpaint.validate` for the options.
+    #
+    # ``references``: as in `open_references`; by default those of the library's store, if it is beside the
+    # library; ``pairs``: as in `read_pairs`; ``panel``: as in `read_certificate`.
+    #
+    # Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
+    # `validate`.
+    signatures = open_library(library)
+    name_pairs = None if pairs is None else read_pairs(pairs)
+    certificate = None if panel is None else read_certificate(panel)
+    if not references:
+        name = signatures.attrs.get("store")
+        store = Path(library).absolute().parent / str(name)
+        # a plain name only: a path stored in a file must not lead out of the folder
+        is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+        SchemaError.raise_if(
+            not is_name or not (store / "references").is_dir(),
+            f"no references: the store of {library} has none, or is not beside it",
+            mend="pass references=",
+            option="pass files with --reference",
+            code="references-missing",
+        )
+        references = [store]
+    return validate(signatures, open_references(references), name_pairs, panel=certificate, **options)
+
+
+# --- tables ------------------------------------------------------------------------------------------------
+
+
+def check_table(path: Path, *, overwrite: bool = False) -> None:
+    # Check the path of a table before anything is read; `StoreError` lists all problems.
+    check_place(path, "the table", example="agreement.csv", kinds=_TABLES, overwrite=overwrite)
+
+
+def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    # Write the statistics of a validation: ``.csv``, with a row for every part of every pair, or ``.json``.
+    #
+    # Numbers have all digits; missing values are empty, or null. Raises `StoreError` as `check_table`.
+    path = Path(path)
+    check_table(path, overwrite=overwrite)
+    statistics, between = validation.statistics, validation.between
+    names = _names_by_part(statistics)
+    if path.suffix.lower() == ".csv":
+        columns, text = [*_PAIR_COLUMNS, "part", *names, *_OXYGEN], io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        for table in (statistics, *([] if between is None else [between.statistics])):
+            for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
+                row = table.isel(pair=pair, part=part)
+                cells = [_json_value(row[name].values.item()) for name in columns]
+                safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
+                writer.writerow(["" if cell is None else cell for cell in safe])
+        content = text.getvalue()
+    else:
+        spans = (statistics[name].values for name in ("part", "first_wavelength", "last_wavelength"))
+        document = {
+            "passed": validation.passed,
+            "tolerance": dict(validation.tolerance),
+            "units": {
+                name: statistics[name].attrs["units"] for name in names if "units" in statistics[name].attrs
+            },
+            "parts": {
+                str(part): [_json_value(float(edge)) for edge in edges]
+                for part, *edges in zip(*spans, strict=True)
+            },
+            "pairs": _pair_entries(validation),
+            "references_against_one_another": [] if between is None else _pair_entries(between),
+            "unpaired_signatures": list(validation.unpaired_signatures),
+            "unpaired_references": list(validation.unpaired_references),
+            "missing": list(validation.missing),
+        }
+        content = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    publish_file(path, content.encode(), overwrite=overwrite)
+
+
+def _names_by_part(table: xr.Dataset) -> list[str]:
+    return [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+
+
+def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
+    table = validation.statistics
+    pairs = []
+    for row in range(table.sizes["pair"]):
+        pair = table.isel(pair=row)
+        entry = {name: _json_value(pair[name].values.item()) for name in (*_PAIR_COLUMNS, *_OXYGEN)}
+        entry["notes"] = list(validation.notes[row])
+        entry["parts"] = {
+            str(part): {name: _json_value(pair[name].values[column].item()) for name in _names_by_part(table)}
+            for column, part in enumerate(table["part"].values)
+        }
+        pairs.append(entry)
+    return pairs
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
 
 #: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
 #: products that another program wrote are replaced only on request.

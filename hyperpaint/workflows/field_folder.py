@@ -37,13 +37,14 @@ from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.files.reading import UNKNOWN, is_pattern, read_limited_text, unique_names
-from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
-from hyperpaint.io.flightline.headwall import (
+from hyperpaint.io.flightline.side_files import (
     cube_number,
     find_exposure,
     frame_index_beside,
     lens_lengths,
     navigation_beside,
+    open_calibration,
+    open_sweep,
     read_frame_index,
     recording_clock,
 )

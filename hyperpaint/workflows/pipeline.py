@@ -79,8 +79,15 @@ from hyperpaint.io.files.publishing import publish_file, published_folder
 from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, is_complete, open_group
 from hyperpaint.io.store.budget import Demand, limited_threads, parse_size
-from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
-from hyperpaint.io.store.layout import Codec, Layout, with_layout
+from hyperpaint.io.store.computing import (
+    RETRIES,
+    Codec,
+    Layout,
+    client_in_force,
+    errors_of_the_cluster,
+    scheduler_in_force,
+    with_layout,
+)
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of, numerics_of
 from hyperpaint.io.store.raw_references import (
     RawFile,
@@ -94,8 +101,15 @@ from hyperpaint.io.store.raw_references import (
     write_icechunk,
 )
 from hyperpaint.io.store.reader import check_above, groups_above, version_of_program
-from hyperpaint.io.store.stage import Staging, staging
-from hyperpaint.io.store.writer import WholeRun, check_codec, check_room, run_contents, whole_run
+from hyperpaint.io.store.writer import (
+    Staging,
+    WholeRun,
+    check_codec,
+    check_room,
+    run_contents,
+    staging,
+    whole_run,
+)
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS

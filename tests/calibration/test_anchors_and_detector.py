@@ -18,8 +18,8 @@ from hyperpaint.calibration import (
     linearity,
     panel_radiance,
 )
-from hyperpaint.calibration.elements import interpolate_nodes, monotone_slopes
-from hyperpaint.io.flightline.calibration_store import open_calibration
+from hyperpaint.calibration.detector import interpolate_nodes, monotone_slopes
+from hyperpaint.io.flightline.side_files import open_calibration
 from hyperpaint.radiometry.stray_light import Linearity
 from hyperpaint.simulation import simulate_sweep
 

@@ -8,7 +8,7 @@ import xarray as xr
 
 from hyperpaint.base.facts import convert
 from hyperpaint.calibration import anchor_to_radiance, calibration_from_coefficients, flat_field
-from hyperpaint.calibration.elements import Light, NoiseModel, Window, fit_wavelength_map, fit_window
+from hyperpaint.calibration.detector import Light, NoiseModel, Window, fit_wavelength_map, fit_window
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN
 

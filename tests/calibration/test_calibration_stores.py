@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.collect.collect_toml import open_with_settings
-from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
+from hyperpaint.io.flightline.side_files import open_calibration, open_sweep
 from hyperpaint.simulation import simulate_collect, simulate_sweep
 
 

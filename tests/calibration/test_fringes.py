@@ -8,7 +8,7 @@ import pytest
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.calibration.calibration_dataset import MIN_REPORTED_ERROR, error_between_lines
-from hyperpaint.calibration.elements import interpolate_nodes
+from hyperpaint.calibration.detector import interpolate_nodes
 from hyperpaint.simulation import simulate_sweep
 
 STEPS = np.arange(400.0, 1001.0, 10.0)

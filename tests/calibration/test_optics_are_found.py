@@ -12,7 +12,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
+from hyperpaint.io.flightline.side_files import calibration_parts, check_calibration
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CAMERA: dict[str, Any] = {"bands": 136, "columns": 12}

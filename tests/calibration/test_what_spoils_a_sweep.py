@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.calibration import anchor_to_radiance, quantum_efficiency
 from hyperpaint.calibration.detector import fit_dark_model
-from hyperpaint.io.flightline.calibration_store import scale_attrs
+from hyperpaint.io.flightline.side_files import scale_attrs
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CLEAN = {"noise": False, "quantise": False}

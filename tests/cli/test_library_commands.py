@@ -494,7 +494,7 @@ def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: P
 
 
 def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
-    from hyperpaint.workflows.library_files import write_table
+    from hyperpaint.workflows.field_day import write_table
 
     paints, reference = agreeing()
     found = hp.validate(paints.isel(band=slice(0, 9)), field(reference["reflectance"].values))
@@ -519,7 +519,7 @@ def test_a_wrong_picture_is_refused_before_the_work(
     def work(*_: object, **__: object) -> None:
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("hyperpaint.workflows.library_files.validate_files", work)
+    monkeypatch.setattr("hyperpaint.workflows.field_day.validate_files", work)
     done = hyperpaint(
         "validate", stored, "--reference", references, "--picture", tmp_path / "p.nope", status=2
     )

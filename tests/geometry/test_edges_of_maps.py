@@ -3,8 +3,7 @@
 import pytest
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.geometry.georeference.geodesy import crs_of, is_in_metres
-from hyperpaint.geometry.georeference.locating import angles_of, quaternions
+from hyperpaint.geometry.georeference.locating import angles_of, crs_of, is_in_metres, quaternions
 
 pytest.importorskip("pyproj")
 

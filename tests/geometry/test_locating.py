@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, Quality
-from hyperpaint.geometry.georeference.geodesy import meridian_convergence, utm_zone
+from hyperpaint.geometry.georeference.locating import meridian_convergence, utm_zone
 
 PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 CAMERA = hp.geometry.PinholeCamera(5, field_of_view=40.0, edges="centres")

@@ -18,7 +18,7 @@ from hyperpaint.base.errors import PaintError, PaintWarning
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.dirsig import open_emissivity, read_materials
 from hyperpaint.io.envi.envi_cubes import read_header
-from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
+from hyperpaint.io.flightline.side_files import exposure_seconds, read_frame_index, read_settings
 from hyperpaint.io.navigation.navigation_records import open_navigation, read_gps_time, read_imu_gps
 from hyperpaint.io.spectrometers.asd import read_asd_text
 

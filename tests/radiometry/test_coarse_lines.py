@@ -12,7 +12,7 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.io.store.layout import storage_chunks
+from hyperpaint.io.store.computing import storage_chunks
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.pictures.exploring import Explored
 from hyperpaint.radiometry.pixel_reading import coarse, coarse_reflectance

@@ -11,7 +11,7 @@ from support.slab_arguments import calibrate, oracle, problem
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.calibration import linearity
-from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration, scale_attrs
+from hyperpaint.io.flightline.side_files import calibration_parts, check_calibration, scale_attrs
 from hyperpaint.kernels.arguments import SlabOutputs
 from hyperpaint.radiometry.stray_light import Linearity
 from hyperpaint.simulation import simulate_line, simulate_sweep

@@ -9,7 +9,7 @@ import xarray as xr
 
 import hyperpaint as hp  # noqa: F401 (the accessor)
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
+from hyperpaint.io.flightline.side_files import calibration_parts, check_calibration
 from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.simulation import simulate_line
 

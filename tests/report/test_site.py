@@ -21,7 +21,7 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.io.store.layout import encode_chunk
+from hyperpaint.io.store.computing import encode_chunk
 from hyperpaint.report import write_site
 
 CHROMIUM = Path("/usr/bin/chromium")

@@ -21,8 +21,8 @@ from hyperpaint.report import store_report
 from hyperpaint.simulation import simulate_line
 from hyperpaint.surroundings import surveying
 from hyperpaint.surroundings.surveying import flag_line, is_flagged
-from hyperpaint.workflows import library_files
-from hyperpaint.workflows.library_files import write_signatures
+from hyperpaint.workflows import field_day
+from hyperpaint.workflows.field_day import write_signatures
 
 LINES, BANDS, COLUMNS = 48, 24, 40
 NM = np.linspace(420.0, 980.0, BANDS)
@@ -178,7 +178,7 @@ def test_regions_are_proposed_with_the_same_survey(
         )
         return Proposals((HOOD,), refused=hp.Regions((window,)))
 
-    monkeypatch.setattr(library_files, "propose_regions", propose)
+    monkeypatch.setattr(field_day, "propose_regions", propose)
     told: list[tuple[int, int]] = []
     made = write_signatures(
         lot, None, tmp_path / "a.zarr", flags={"glint": 0.03}, progress=lambda *step: told.append(step)
@@ -249,7 +249,7 @@ def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
     assert again.quality.attrs["flags_from"] == flagged.quality.attrs["flags_from"]
     np.testing.assert_array_equal(again.quality, flagged.quality)
     region = hp.Region("a", [(1, 2), (12, 2), (12, 20), (1, 20)], flightline="raw_0")
-    made = library_files.write_signatures(
+    made = field_day.write_signatures(
         tmp_path / "flagged.zarr", hp.Regions((region,)), tmp_path / "a.zarr", exclude=0
     )
     assert made.attrs["flags"] == "those of the store, " + flagged.quality.attrs["flags_from"]

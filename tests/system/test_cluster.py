@@ -30,7 +30,7 @@ from support.refusals import expect_error
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.base.schema import CUBE
-from hyperpaint.io.store import computing, layout
+from hyperpaint.io.store import computing
 from hyperpaint.io.store.computing import is_mendable
 
 distributed = pytest.importorskip("distributed")
@@ -155,7 +155,7 @@ def test_error_of_what_all_blocks_share_names_the_group(tmp_path: Path) -> None:
 
 def test_map_geometry_is_named_by_its_own_dims(tmp_path: Path) -> None:
     dims, shape = ("y", "x", "band"), (600, 1100, 3)
-    chunk = layout.storage_chunks(dims, shape, 4)
+    chunk = computing.storage_chunks(dims, shape, 4)
     assert chunk[0] < shape[0]
     cube = da.zeros(shape, chunks=(chunk[0], shape[1], 3), dtype="float32")
     cube = da.map_blocks(raising, cube, error=OSError("gone"), at=1, dtype="float32", meta=cube._meta)

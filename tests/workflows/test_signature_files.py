@@ -15,7 +15,7 @@ from support.tiny_collects import without_references
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError, StoreError
 from hyperpaint.radiometry.panels import declared_panels
-from hyperpaint.workflows.library_files import write_signatures
+from hyperpaint.workflows.field_day import write_signatures
 
 signatures = partial(hyperpaint, "signatures")
 NO_ATTITUDE = pytest.mark.filterwarnings(

@@ -236,7 +236,7 @@ def test_the_old_store_is_there_until_the_new_one_is(
     for broken in ("os.replace", "os.rename", "hyperpaint.io.store.raw_references.write_icechunk"):
         with monkeypatch.context() as patch:
             patch.setattr(broken, fails)
-            patch.setattr("hyperpaint.io.store.stage.exchange", lambda *_: False)
+            patch.setattr("hyperpaint.io.store.writer.exchange", lambda *_: False)
             with contextlib.suppress(StoreError):
                 virtualise(copied, out, overwrite=True)
         assert float(hp.io.open_virtual(out)["saturation_count"]) in (4095, 8191), broken

@@ -44,8 +44,14 @@ from hyperpaint.base import (
     takes_quantities,
     warn_user,
 )
-from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
-from hyperpaint.geometry.georeference.locating import LOCATION_UNITS, is_located, line_slabs, locate
+from hyperpaint.geometry.georeference.locating import (
+    LOCATION_UNITS,
+    crs_of,
+    grid_mapping_attrs,
+    is_located,
+    line_slabs,
+    locate,
+)
 from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
 from hyperpaint.kernels.rays import fill_between, gather_bilinear, gather_nearest, invert_lines

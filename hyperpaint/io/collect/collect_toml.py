@@ -32,12 +32,11 @@ from hyperpaint.base import (
     by_key,
     facts_of,
     is_number,
-    warn_user,
+    warn_if,
     with_numbers,
 )
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.files.reading import TableReader, is_pattern, load_tables, values
-from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import (
     BLANK_COUNT,
     FlightlineInputs,
@@ -45,7 +44,12 @@ from hyperpaint.io.flightline.flightline_opening import (
     assemble,
     utc_of,
 )
-from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
+from hyperpaint.io.flightline.side_files import (
+    cube_number,
+    frame_index_beside,
+    navigation_beside,
+    open_calibration,
+)
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import UncoveredError, cut_irradiance, open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra
@@ -841,11 +845,11 @@ def _joined_lines(
             cubes, line_id = flights[name]
             joined_lines = list(join_lines({cube: lines[cube] for cube in cubes}, record))
             for joined in joined_lines:
-                if joined.interruption:
-                    warn_user(
-                        f"{joined.members[0]} is a separate flight line: {joined.interruption}",
-                        "recording-interrupted",
-                    )
+                warn_if(
+                    joined.interruption,
+                    f"{joined.members[0]} is a separate flight line: {joined.interruption}",
+                    "recording-interrupted",
+                )
                 joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
                 yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
 

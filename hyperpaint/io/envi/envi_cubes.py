@@ -64,7 +64,7 @@ from hyperpaint.base import (
     open_input,
     same_dimension,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import decoded_text, foreign_format, refuse
@@ -982,8 +982,7 @@ def open_envi(
     if has_dark:
         lines = recorded - int(start) if dark_lines else int(start)
         offset += int(start) * header.line_bytes if dark_lines else 0
-    if doubts:
-        warn_user(f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
+    warn_if(doubts, f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
     FormatError.raise_if(
         dark_lines and not has_dark,
         f"{data_path.name}: no dark lines",

@@ -1,7 +1,7 @@
 """Products that are written completely or not at all: a file, a folder, or several related files.
 
 A product is built in a staging folder like a store's, ``.partial-<name>`` beside its place (see
-`hyperpaint.io.store.stage`), flushed to the disk, then moved to its place. One file is moved by one rename.
+`hyperpaint.io.store.writer`), flushed to the disk, then moved to its place. One file is moved by one rename.
 One folder is exchanged with the old one, like a group of a store.
 
 Several files are opened by the last of them, the key: the header of a cube, the map that an item describes.
@@ -37,7 +37,7 @@ from hyperpaint.base import PaintError, Problem, Problems, StoreError, is_plain_
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import flush_group
 from hyperpaint.io.store.manifest import sync
-from hyperpaint.io.store.stage import Staging, discard, staging
+from hyperpaint.io.store.writer import Staging, discard, staging
 
 _SWAP, _JOURNAL = "swap", "journal"
 MAX_JOURNAL_BYTES = 100_000

@@ -46,6 +46,7 @@ from hyperpaint.base import (
     rename_to_roles,
     require,
     takes_quantities,
+    warn_if,
     warn_user,
     with_calibration_names,
     with_numbers,
@@ -65,17 +66,20 @@ from hyperpaint.io.navigation.navigation_records import (
 )
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance, record_attrs
 
-from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
-from .headwall import (
+from .side_files import (
     DarkFrames,
     FrameIndex,
+    calibration_parts,
     cube_number,
     exposure_seconds,
     exposure_sources,
     find_exposure,
     match_frames,
+    open_calibration,
     read_frame_index,
     recording_clock,
+    saturation_of,
+    scale_attrs,
     sum_dark,
 )
 
@@ -1145,12 +1149,12 @@ def _coordinates(
         )
     if calibration is not None and "wavelength" in opened.coords:
         difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
-        if difference_nm > _WAVELENGTH_TOLERANCE_NM:
-            warn_user(
-                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart; "
-                "the wavelengths of the calibration are used",
-                "wavelength-conflict",
-            )
+        warn_if(
+            difference_nm > _WAVELENGTH_TOLERANCE_NM,
+            f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart; "
+            "the wavelengths of the calibration are used",
+            "wavelength-conflict",
+        )
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
     return coords | {
         name: label(xr.DataArray(values, dims=ALONG_TRACK), name)

@@ -68,6 +68,7 @@ from hyperpaint.base import (
     open_input,
     quality_attrs,
     read_limited,
+    warn_if,
     warn_of_old_names,
     warn_user,
 )
@@ -2237,8 +2238,7 @@ def _foreign(
         code="wavelength-missing",
     )
     check_wavelengths(nm, source)
-    if warned:
-        warn_user(f"{source}: {'; '.join(warned)}", "header-incomplete")
+    warn_if(warned, f"{source}: {'; '.join(warned)}", "header-incomplete")
     # stored value of a reflectance of one, from the header; the last title is that of the values, the title
     # of the wavelengths may contain commas
     header_scale = header.reflectance_scale_factor

@@ -70,6 +70,7 @@ from hyperpaint.base import (
     open_input,
     same_dimension,
     takes_quantities,
+    warn_if,
     warn_user,
 )
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
@@ -85,7 +86,7 @@ from hyperpaint.io.files.reading import (
     table_of,
     to_integers,
 )
-from hyperpaint.io.flightline.headwall import FrameIndex, check_increasing, time_of_day
+from hyperpaint.io.flightline.side_files import FrameIndex, check_increasing, time_of_day
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
@@ -507,11 +508,11 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     if "time" in table.columns:
         stamps["time of day"] = time_of_day(table, "time")[0]
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
-    if is_unaligned.all():
-        warn_user(
-            f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
-            "attitude-missing",
-        )
+    warn_if(
+        is_unaligned.all(),
+        f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
+        "attitude-missing",
+    )
     if utc is None:
         return record
     # the date of an unaligned row must agree with the aligned rows
@@ -1236,8 +1237,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         mend="copy it again",
         code="checksum-wrong",
     )
-    if damaged:
-        warn_user(f"{path.name}: {wrong_checksums}, and are ignored", "checksum-wrong")
+    warn_if(damaged, f"{path.name}: {wrong_checksums}, and are ignored", "checksum-wrong")
     log.problems.raise_if_any()
     FormatError.raise_if(
         not log.rows,
@@ -1261,8 +1261,11 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     check_poses(values, "degree", log.problems, "position", np.arange(1, stamp.size + 1))
     log.problems.raise_if_any()
     refuse_backwards(path.name, stamp, row="position")
-    if all(np.isnan(values[name]).all() for name in ANGLES):
-        warn_user(f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)", "attitude-missing")
+    warn_if(
+        all(np.isnan(values[name]).all() for name in ANGLES),
+        f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)",
+        "attitude-missing",
+    )
     return PoseRecord(
         path.name,
         "NMEA 0183",

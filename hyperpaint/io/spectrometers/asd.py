@@ -38,6 +38,7 @@ from hyperpaint.base import (
     label,
     one_of,
     read_limited,
+    warn_if,
     warn_user,
 )
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
@@ -59,8 +60,14 @@ from .spectrum_files import (
     text_lines,
     warn_of,
 )
-from .spectrum_texts import SPECTRUM_SUFFIXES, SpectrumText, form_of, is_logger_csv, read_spectrum_text
-from .svc import dialect_of
+from .spectrum_texts import (
+    SPECTRUM_SUFFIXES,
+    SpectrumText,
+    dialect_of,
+    form_of,
+    is_logger_csv,
+    read_spectrum_text,
+)
 
 Kind = Literal["binary", "text", "scans", "instrument", "csv", "unknown"]
 
@@ -758,12 +765,12 @@ def read_spectra(
         )
         for content in contents
     )
-    if quantity is None and texts:
-        warn_user(
-            f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
-            f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}",
-            "quantity-assumed",
-        )
+    warn_if(
+        quantity is None and texts,
+        f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
+        f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}",
+        "quantity-assumed",
+    )
     names_by_conflict: dict[str, list[str]] = {}
     for content in contents:
         if conflict := _receptor_conflict(content, target_quantity):
@@ -838,11 +845,11 @@ def read_spectra(
     names_with_dark = [
         content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
     ]
-    if names_with_dark and target_quantity != "counts":
-        warn_user(
-            f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}",
-            "dark-not-subtracted",
-        )
+    warn_if(
+        names_with_dark and target_quantity != "counts",
+        f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}",
+        "dark-not-subtracted",
+    )
     return mask_undefined(spectra, target_quantity), target_quantity
 
 
@@ -1113,8 +1120,11 @@ def open_asd(
     # UTC of the spectra whose zone is known
     has_stamp = np.array([s.local_time is not None for s in spectra])
     has_zone = np.array([utc_offset_h is not None or s.utc_offset_h is not None for s in spectra])
-    if unknown := [spectra[i] for i in np.flatnonzero(has_stamp & ~has_zone)]:
-        warn_user(f"local times are NaT, since {_missing_zone_text(unknown)}", "zone-missing")
+    warn_if(
+        unknown := [spectra[i] for i in np.flatnonzero(has_stamp & ~has_zone)],
+        f"local times are NaT, since {_missing_zone_text(unknown)}",
+        "zone-missing",
+    )
     dated = [spectra[i] for i in np.flatnonzero(has_stamp & has_zone)]
     offsets = np.rint(np.array(utc_offsets(dated, utc_offset_h)) * 3600e9).astype("timedelta64[ns]")
     times = np.full(len(spectra), np.datetime64("NaT", "ns"))

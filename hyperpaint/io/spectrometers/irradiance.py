@@ -40,7 +40,7 @@ from hyperpaint.base import (
     require,
     takes_quantities,
     unit_slip,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.io.files.reading import (
     load_netcdf,
@@ -55,8 +55,7 @@ from hyperpaint.io.store.reader import is_zarr
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
-from .spectrum_texts import NM_HEADING, TIME_HEADING, heading_cells
-from .svc import LocalStamp, orders_of, read_stamp
+from .spectrum_texts import NM_HEADING, TIME_HEADING, LocalStamp, heading_cells, orders_of, read_stamp
 
 Stamp = Literal["start", "mid", "end"]
 
@@ -305,12 +304,11 @@ def _stored_series(path: Any) -> xr.Dataset:
         is_good = ~np.isnat(stamps)
         if _HYPERNETS_FLAG in data.variables:
             is_good &= data[_HYPERNETS_FLAG].values == 0
-        if not is_good.all():
-            warn_user(
-                f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, "
-                "and are left out",
-                "samples-flagged",
-            )
+        warn_if(
+            not is_good.all(),
+            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out",
+            "samples-flagged",
+        )
         data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
         series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
         series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims(
@@ -551,11 +549,11 @@ def open_irradiance(
     brightest = brightest_median(series.wavelength, values)
     slip = unit_slip(brightest)
     median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
-    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
-        warn_user(
-            f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
-            "irradiance-dim",
-        )
+    warn_if(
+        LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip,
+        f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
+        "irradiance-dim",
+    )
     if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
         direction = (
             f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"

@@ -18,8 +18,7 @@ from hyperpaint.io.store.reader import is_zarr
 
 from .asd import open_asd, sniff
 from .spectrum_files import find_paths
-from .spectrum_texts import SPECTRUM_SUFFIXES
-from .svc import is_named_as_scans, open_svc
+from .spectrum_texts import SPECTRUM_SUFFIXES, is_named_as_scans, open_svc
 
 _GROUP = "references/"
 

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base import FormatError, Problem, Problems, TimeError, input_path, warn_user
+from hyperpaint.base import FormatError, Problem, Problems, TimeError, input_path, warn_if
 from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files, unique_names
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
@@ -241,5 +241,4 @@ def listed(names: Sequence[str], max_names: int = 20) -> str:
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
     # Warn of a problem of the named files, if there are any.
-    if names:
-        warn_user(f"{problem}. Files: {listed(names)}", code)
+    warn_if(names, f"{problem}. Files: {listed(names)}", code)

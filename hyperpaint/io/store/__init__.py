@@ -4,7 +4,7 @@ In: datasets and trees of them (`to_store`), or a store's path. Out: a store wit
 groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the user.
 """
 
-from .layout import encoding
+from .computing import encoding
 from .reader import (
     StoreReport,
     is_complete,

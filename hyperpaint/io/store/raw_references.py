@@ -45,7 +45,7 @@ from hyperpaint.base import (
     read_limited,
 )
 
-from .layout import encoding, prepare
+from .computing import encoding, prepare
 from .manifest import INPUTS, clean_group
 
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.

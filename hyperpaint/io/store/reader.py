@@ -72,7 +72,7 @@ from .manifest import (
 
 # Maximum size of a group that `load_group` reads into memory [byte].
 MAX_LOADED_BYTES = 2**30
-# Maximum size of a decoded chunk [byte]; chunks of `layout` have less than a tenth of it for any camera.
+# Maximum size of a decoded chunk [byte]; chunks of `computing` have less than a tenth of it for any camera.
 MAX_CHUNK_BYTES = 2**30
 # Maximum size of an array with one dim, or of a chunk of texts or times, which xarray loads on opening [B].
 MAX_INDEX_BYTES = 64 * 2**20

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problems, SchemaError, warn_if, warn_user
 from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.mirrored_light import (
     BODY,
@@ -747,12 +747,12 @@ def _searched_flags(
         if quality is None or not ("flags_from" in quality.attrs or has_bits):
             without.append(name or "the line")
             searched &= 0 if quality is None else ~scene
-    if without and flags & scene:
-        warn_user(
-            f"{', '.join(without)} was not searched for {', '.join(flag_names(flags & scene))}: such pixels "
-            "are in the signatures; flag the line first with line.paint.flag()",
-            "flags-not-searched",
-        )
+    warn_if(
+        without and flags & scene,
+        f"{', '.join(without)} was not searched for {', '.join(flag_names(flags & scene))}: such pixels "
+        "are in the signatures; flag the line first with line.paint.flag()",
+        "flags-not-searched",
+    )
     return searched
 
 

@@ -15,8 +15,14 @@ from hyperpaint.base import schema
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Bools, Floats, Ints
-from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
-from hyperpaint.geometry.georeference.locating import directions, matrices, quaternions
+from hyperpaint.geometry.georeference.locating import (
+    between_maps,
+    crs_of,
+    directions,
+    matrices,
+    meridian_convergence,
+    quaternions,
+)
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .draws import philox
+from .path_codes import philox
 
 # Members of populations shown by pixels: smooth random fields over the positions of a scene.
 #

@@ -17,7 +17,6 @@ import numpy as np
 from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import (
     FACING,
     STACK,
@@ -46,6 +45,9 @@ from .path_codes import (
     OVERCAST_SKY,
     SKY,
     USABLE_BITS,
+    even_pair,
+    pixel_key,
+    uniforms,
 )
 from .surfaces import (
     BLURRED_ALPHA,

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.io.store.stage import _MARK_TEXT
+from hyperpaint.io.store.writer import _MARK_TEXT
 
 MEGA = 10**6
 #: Every door that takes a store.

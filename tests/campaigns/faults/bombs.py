@@ -65,10 +65,10 @@ DOORS: Mapping[str, Door] = {
     "irradiance": Door(
         reader("io.spectrometers.irradiance:open_irradiance", SKY), (FormatError, TimeError, StoreError)
     ),
-    "frame-index": Door(reader("io.flightline.headwall:read_frame_index"), (FormatError, TimeError)),
+    "frame-index": Door(reader("io.flightline.side_files:read_frame_index"), (FormatError, TimeError)),
     "imu-gps": Door(reader("io.navigation.navigation_records:read_imu_gps"), (FormatError,)),
     "settings": Door(
-        reader("io.flightline.headwall:read_settings", then=exposure),
+        reader("io.flightline.side_files:read_settings", then=exposure),
         (FormatError,),
     ),
     "collect": Door(
@@ -79,7 +79,7 @@ DOORS: Mapping[str, Door] = {
     "verify": Door(reader("io.store:verify", then=_verified), (StoreError,)),
     # writes beside what is there
     "writer": Door(_write, (StoreError,)),
-    "calibration": Door(reader("io.flightline.calibration_store:open_calibration"), (FormatError,)),
+    "calibration": Door(reader("io.flightline.side_files:open_calibration"), (FormatError,)),
     "library": Door(reader("io.library:open_library", then=_load), (FormatError, StoreError)),
 }
 
@@ -182,7 +182,7 @@ def warm_up() -> None:
     # Import what the readers import, so that a child's time and memory are those of the bomb
     for module in (
         *(f"hyperpaint.io.{name}" for name in ("collect.collect_toml", "envi.envi_cubes", "library")),
-        *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.reader")),
+        *(f"hyperpaint.io.{name}" for name in ("flightline.side_files", "store.reader")),
         *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_records", "spectrometers.asd")),
         *(
             "hyperpaint.io.spectrometers.irradiance",

@@ -36,7 +36,7 @@ from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import is_complete, open_store, stage
+from hyperpaint.io.store import is_complete, open_store, writer as store_writer
 
 from .outcome import SCRATCH, Outcome, each, numbers_of
 
@@ -68,7 +68,7 @@ CONTEXT.set_forkserver_preload(
         "hyperpaint.accessor",
         "hyperpaint.workflows.pipeline",
         "hyperpaint.workflows.collects",
-        "hyperpaint.workflows.library_files",
+        "hyperpaint.workflows.field_day",
         "hyperpaint.alignment",
         "hyperpaint.pictures.plot",
         "hyperpaint.io.store.writer",
@@ -228,7 +228,7 @@ def _group(
 ) -> None:
     # Store a scene; without ``exchanging`` the system cannot let two folders change places at once
     if not exchanging:
-        stage.exchange = lambda *_: False  # type: ignore[assignment]
+        store_writer.exchange = lambda *_: False  # type: ignore[assignment]
     line = scene_line(1 + VERSIONS.index(version), slabs, delay)
     hp.to_store(line, home / "lot.zarr", group, overwrite=True)
 

@@ -106,7 +106,7 @@ def _columns(read: Any, _: Path) -> None:
 
 
 def exposure(read: Any, path: Path) -> None:
-    from hyperpaint.io.flightline.headwall import exposure_seconds
+    from hyperpaint.io.flightline.side_files import exposure_seconds
 
     exposure_seconds(read, path.name)
 
@@ -146,7 +146,7 @@ _BINARY, _TEXT = ("asd_binary/*.asd",), ("asd_ascii/*", "asd_binary/*.txt")
 SKY = {"utc_offset_h": 0.0, "fwhm_nm": 3.0, "max_gap_s": 5.0, "units": "W m-2 nm-1"}
 _FORMAT, _TIME = (FormatError,), (FormatError, TimeError)
 _SCHEMA = (FormatError, SchemaError)
-_SPECTRA, _SKIES, _LINES = "io.spectrometers", "io.skies", "io.flightline.headwall"
+_SPECTRA, _SKIES, _LINES = "io.spectrometers", "io.skies", "io.flightline.side_files"
 
 #: By name: the reader, its errors, seeds, real files.
 PARSERS: Mapping[str, Parser] = {
@@ -163,7 +163,9 @@ PARSERS: Mapping[str, Parser] = {
         "asd-open": (_asd, _TIME, ("asd/sky00000.asd", "sky.txt"), (*_BINARY, *_TEXT)),
         "svc": (
             reader(
-                f"{_SPECTRA}.svc:open_svc", {}, {"overlap": "trim", "dayfirst": False, "utc_offset_h": 0.0}
+                f"{_SPECTRA}.spectrum_texts:open_svc",
+                {},
+                {"overlap": "trim", "dayfirst": False, "utc_offset_h": 0.0},
             ),
             _FORMAT,
             ("svc/red.sig",),

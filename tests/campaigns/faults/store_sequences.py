@@ -115,9 +115,9 @@ class StoreSequence(RuleBasedStateMachine):
         self._process(kind, stop, overwrite=overwrite, unsealed=left)
 
     def _process(self, kind: str, stop: Any, *, overwrite: bool, unsealed: bool = False) -> None:
-        from hyperpaint.io.store import stage, writer
+        from hyperpaint.io.store import writer
 
-        publish, calls = stage.Staging.publish, iter(range(100))
+        publish, calls = writer.Staging.publish, iter(range(100))
 
         def killed(self: Any, *arguments: Any) -> None:
             if next(calls) == stop:
@@ -128,7 +128,7 @@ class StoreSequence(RuleBasedStateMachine):
             raise KeyboardInterrupt
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(stage.Staging, "publish", killed)
+            patch.setattr(writer.Staging, "publish", killed)
             if stop == "seal":
                 patch.setattr(writer._StoreWriter, "finish", interrupt)
             try:

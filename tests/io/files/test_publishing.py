@@ -16,7 +16,7 @@ from support.refusals import expect_errors
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.files.publishing import check_place, publish_file, published_files, published_folder
-from hyperpaint.io.store.stage import staging
+from hyperpaint.io.store.writer import staging
 
 HERE = Path(__file__).parent
 

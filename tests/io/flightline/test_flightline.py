@@ -35,8 +35,8 @@ from hyperpaint.base import schema
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, StoreError, TimeError
 from hyperpaint.io.envi.envi_cubes import EnviArray
-from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import open_flightline
+from hyperpaint.io.flightline.side_files import open_calibration
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 

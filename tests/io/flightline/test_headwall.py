@@ -12,7 +12,7 @@ from hyperpaint.base.errors import FormatError, SchemaError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import MAX_TABLE_ROWS, read_table
 from hyperpaint.io.flightline.flightline_opening import DARK_NONE, Timing, open_dark
-from hyperpaint.io.flightline.headwall import (
+from hyperpaint.io.flightline.side_files import (
     FrameIndex,
     exposure_seconds,
     match_frames,

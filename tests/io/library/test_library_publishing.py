@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.library import spectra_files
-from hyperpaint.io.store.stage import _MARK_TEXT
+from hyperpaint.io.store.writer import _MARK_TEXT
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr"}
 

@@ -17,8 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, TimeError
 from hyperpaint.io.spectrometers.asd import EXPORTS
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
-from hyperpaint.io.spectrometers.spectrum_texts import FORMS
-from hyperpaint.io.spectrometers.svc import DIALECTS
+from hyperpaint.io.spectrometers.spectrum_texts import DIALECTS, FORMS
 
 NM = np.arange(350.0, 1050.0, 5.0)
 LIGHT = 1.2 * np.exp(-(((NM - 600.0) / 300.0) ** 2))  # W m-2 nm-1

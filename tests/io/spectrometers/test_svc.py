@@ -18,9 +18,9 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.facts import conversion_factor
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.spectrometers import svc
+from hyperpaint.io.spectrometers import spectrum_texts
 from hyperpaint.io.spectrometers.reference_files import open_references
-from hyperpaint.io.spectrometers.svc import (
+from hyperpaint.io.spectrometers.spectrum_texts import (
     SVC_JOINS,
     dialect_of,
     open_svc,
@@ -182,7 +182,7 @@ def test_ways_to_write_the_same(write, fields) -> None:
 
 
 def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
-    row = svc.Dialect(
+    row = spectrum_texts.Dialect(
         "PSR",
         re.compile(rb"Comment:"),
         "'Comment:' of a .sed file",
@@ -194,7 +194,7 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
         columns=(0, 2, 1, 3),
         scale={"radiance": 1.0},
     )
-    monkeypatch.setattr(svc, "DIALECTS", (*svc.DIALECTS, row))
+    monkeypatch.setattr(spectrum_texts, "DIALECTS", (*spectrum_texts.DIALECTS, row))
     path = tmp_path / "door.sed"
     path.write_text(
         "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "

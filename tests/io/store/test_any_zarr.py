@@ -15,7 +15,7 @@ from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
-from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
+from hyperpaint.io.flightline.side_files import open_calibration, open_sweep
 from hyperpaint.io.spectrometers.reference_files import open_references
 from hyperpaint.io.store import list_groups
 

@@ -13,8 +13,7 @@ from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, SchemaError
-from hyperpaint.io.store.computing import disk_needed
-from hyperpaint.io.store.layout import with_layout
+from hyperpaint.io.store.computing import disk_needed, with_layout
 
 DIMS = ("along_track", "band", "cross_track")
 

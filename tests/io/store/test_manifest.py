@@ -19,7 +19,7 @@ from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import is_complete, list_groups, open_group, reader, stage, writer
+from hyperpaint.io.store import is_complete, list_groups, open_group, reader, writer
 from hyperpaint.io.store.manifest import (
     INPUTS,
     SETTINGS,
@@ -205,14 +205,14 @@ def test_groups_without_variables_are_of_the_store(store: Path) -> None:
 
 def test_a_half_written_tree_is_finished_by_itself_alone(store: Path) -> None:
     tree = xr.DataTree.from_dict({"/sig/a": line(1), "/sig/b": line(2)})
-    publish, calls = stage.Staging.publish, iter([True])
+    publish, calls = writer.Staging.publish, iter([True])
 
     def killed(self: Any, *arguments: Any) -> None:
         if not next(calls, False):
             raise KeyboardInterrupt
         publish(self, *arguments)
 
-    with mock.patch.object(stage.Staging, "publish", killed):
+    with mock.patch.object(writer.Staging, "publish", killed):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(tree, store))
     hp.to_store(line(9), store, "other")
     for _ in range(2):
@@ -286,7 +286,7 @@ def test_what_a_user_adds_does_not_finish_a_run(path: Path) -> None:
 @pytest.mark.parametrize("group", ["signatures", LINES[0]])
 @pytest.mark.parametrize("point", ["publish", "finish"])
 def test_one_group_more_leaves_the_store_whole_at_every_instant(group: str, point: str, store: Path) -> None:
-    target = {"publish": "stage.Staging.publish", "finish": "writer._StoreWriter.finish"}[point]
+    target = {"publish": "writer.Staging.publish", "finish": "writer._StoreWriter.finish"}[point]
     with mock.patch(f"hyperpaint.io.store.{target}", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(line(7), store, group, overwrite=True))
     assert hp.open_store(store, LINES[1]).counts.values[0, 0, 0] == 98

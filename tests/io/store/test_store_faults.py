@@ -20,7 +20,7 @@ from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
-from hyperpaint.io.store.stage import _MARK_TEXT, staging
+from hyperpaint.io.store.writer import _MARK_TEXT, staging
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"

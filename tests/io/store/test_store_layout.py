@@ -13,24 +13,24 @@ from hypothesis import given, settings, strategies as st
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import layout
+from hyperpaint.io.store import computing
 
 
 @given(st.lists(st.integers(1, 90), min_size=1, max_size=12), st.integers(1, 40))
 def test_regrouped_chunks_start_at_storage_chunks(pieces: list[int], step: int) -> None:
-    made = layout.regroup(pieces, step)
+    made = computing.regroup(pieces, step)
     starts = np.cumsum((0, *made))[:-1]
     assert sum(made) == sum(pieces)
     assert (starts % step == 0).all()
     assert all(size >= step for size in made[:-1])
-    assert layout.regroup(made, step) == made
+    assert computing.regroup(made, step) == made
     # no task gets to hold more than the pieces it is made of, and what completes its first chunk
     assert max(made) <= max(pieces) + step
 
 
 @pytest.mark.parametrize("pieces", [(32,) * 5, (64, 32, 7), (128,), (31,)])
 def test_aligned_chunks_stay(pieces: tuple[int, ...]) -> None:
-    assert layout.regroup(pieces, 32) == pieces
+    assert computing.regroup(pieces, 32) == pieces
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_aligned_chunks_stay(pieces: tuple[int, ...]) -> None:
     ],
 )
 def test_storage_chunks(dims: tuple[str, ...], shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
-    assert layout.storage_chunks(dims, shape, 4) == expected
+    assert computing.storage_chunks(dims, shape, 4) == expected
 
 
 @pytest.mark.parametrize("dtype", ["uint16", "float32", "float64", "int64", "uint8", "bool", "int16"])
@@ -63,9 +63,9 @@ def test_chunk_has_the_bytes_that_zarr_writes(
         pytest.importorskip("blosc")
     else:
         monkeypatch.setitem(sys.modules, "blosc", None)
-    monkeypatch.setattr(layout, "_blosc", layout._blosc.__wrapped__)
+    monkeypatch.setattr(computing, "_blosc", computing._blosc.__wrapped__)
     values = (np.random.default_rng(0).random((lines, 7, 11)) * 100).astype(dtype)
-    encoding = layout.encoding_of(
+    encoding = computing.encoding_of(
         xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype)), codec
     )
     array = zarr.create_array(
@@ -77,7 +77,7 @@ def test_chunk_has_the_bytes_that_zarr_writes(
         fill_value=encoding["fill_value"],
     )
     array[:] = values
-    encoded, crc = layout.encode_chunk(values, encoding["chunks"], encoding["fill_value"], codec)
+    encoded, crc = computing.encode_chunk(values, encoding["chunks"], encoding["fill_value"], codec)
     assert (tmp_path / "a.zarr/c/0/0/0").read_bytes() == encoded + crc
 
 
@@ -93,11 +93,11 @@ def test_chunk_has_the_bytes_that_zarr_writes(
     ],
 )
 def test_fill_value_fits_the_dtype(dtype: str, fill: int) -> None:
-    assert layout.fill_value(np.dtype(dtype)) == fill
+    assert computing.fill_value(np.dtype(dtype)) == fill
 
 
 def test_float_fill_is_nan_of_the_dtype() -> None:
-    fill = layout.fill_value(np.dtype("float32"))
+    fill = computing.fill_value(np.dtype("float32"))
     assert fill.dtype == "float32"
     assert np.isnan(fill)
 
@@ -109,7 +109,7 @@ def test_float_fill_is_nan_of_the_dtype() -> None:
 )
 def test_prepared_blocks_hold_whole_storage_chunks(lines: list[int], bands: tuple[int, ...]) -> None:
     data = da.zeros((sum(lines), 6, 4), chunks=(tuple(lines), bands, 3), dtype="float32")
-    chunks = layout.prepare(
+    chunks = computing.prepare(
         xr.Dataset({"radiance": (("along_track", "band", "cross_track"), data)}), ""
     ).radiance.chunks
     assert chunks is not None
@@ -126,10 +126,10 @@ def test_prepare_lists_all_problems() -> None:
         },
         attrs={"o": object()},
     )
-    caught = expect_error(StoreError, None, lambda: layout.prepare(dataset, "g"))
+    caught = expect_error(StoreError, None, lambda: computing.prepare(dataset, "g"))
     assert all(text in str(caught) for text in ("'a/b'", "'start' of 'when'", "'thing'", "'o'"))
 
 
 def test_multi_index_is_refused_with_the_mend() -> None:
     dataset = xr.Dataset(coords={"a": ("x", [1, 2]), "b": ("x", [3, 4])}).set_index(x=["a", "b"])
-    expect_error(StoreError, "reset_index", lambda: layout.prepare(dataset, ""))
+    expect_error(StoreError, "reset_index", lambda: computing.prepare(dataset, ""))

@@ -17,8 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.io.store import list_groups, writer
 from hyperpaint.io.store.manifest import INPUTS
-from hyperpaint.io.store.stage import Staging
-from hyperpaint.io.store.writer import run_contents, whole_run
+from hyperpaint.io.store.writer import Staging, run_contents, whole_run
 
 LINES = tuple(f"flightlines/raw_{number}" for number in range(3))
 WAIT_S = 30.0

@@ -18,9 +18,9 @@ from filelock._identity import host_name
 from support.refusals import expect_error, expect_refusals
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import is_complete, open_store, stage, to_store, verify
+from hyperpaint.io.store import is_complete, open_store, to_store, verify, writer
 from hyperpaint.io.store.computing import exchange
-from hyperpaint.io.store.stage import Staging, staging
+from hyperpaint.io.store.writer import Staging, staging
 
 
 def small(value: int = 1) -> xr.Dataset:
@@ -40,7 +40,7 @@ def unmarked(path: Path) -> Path:
 
 
 def partial(path: Path) -> Path:
-    (unmarked(path) / "hyperpaint").write_bytes(stage._MARK_TEXT)
+    (unmarked(path) / "hyperpaint").write_bytes(writer._MARK_TEXT)
     return unmarked(path)
 
 
@@ -115,7 +115,7 @@ def test_what_is_half_removed_does_not_come_back(path: Path, monkeypatch: pytest
             raise KeyboardInterrupt
         remove(folder, *args, **options)
 
-    monkeypatch.setattr(stage, "exchange", lambda *_: False)
+    monkeypatch.setattr(writer, "exchange", lambda *_: False)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "rmtree", die)
         expect_error(KeyboardInterrupt, None, lambda: write(path, 2, "flightlines/raw_0", overwrite=True))
@@ -173,7 +173,7 @@ def test_the_old_group_stands_where_publishing_fails(
     path = tmp_path / "lot.zarr"
     to_store(small(), path, group)
     if not exchanging:
-        monkeypatch.setattr(stage, "exchange", lambda *_: False)
+        monkeypatch.setattr(writer, "exchange", lambda *_: False)
     rename, calls = os.rename, iter(range(1, 100))
 
     def fail(source: Any, target: Any) -> None:
@@ -248,7 +248,7 @@ def test_an_empty_lock_is_taken_over_once_it_is_old(lock: Path) -> None:
 
 def test_our_own_lock_is_respected_in_each_thread(lock: Path) -> None:
     store = lock.parent.parent / "lot.zarr"
-    with stage.locked(lock, lock.parent), ThreadPoolExecutor(1) as pool:
+    with writer.locked(lock, lock.parent), ThreadPoolExecutor(1) as pool:
         expect_refusals(
             (StoreError, "store-locked", lambda: write(store)),
             (StoreError, "store-locked", lambda: pool.submit(write, store).result()),
@@ -273,7 +273,7 @@ def test_a_killed_writers_lock_is_taken_over(lock: Path) -> None:
 
 
 def test_another_writers_lock_is_left_alone(lock: Path) -> None:
-    with stage.locked(lock, lock.parent):
+    with writer.locked(lock, lock.parent):
         other = lock.with_name("other")
         other.write_text("another's, who was told that we are dead")
         other.replace(lock)
@@ -314,7 +314,7 @@ def test_lock_and_mark_are_on_the_disk_before_anything_is_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[str] = []
-    monkeypatch.setattr(stage, "sync", lambda path: synced.append(Path(path).name))
+    monkeypatch.setattr(writer, "sync", lambda path: synced.append(Path(path).name))
     with staging(tmp_path / "lot.zarr"):
         assert synced == ["lock", "hyperpaint", ".partial-lot.zarr"]
 

@@ -24,8 +24,8 @@ from support.transport_scenes import (
     weight_of,
 )
 
-from hyperpaint.simulation.transport.draws import even_pair, philox, pixel_key, uniforms
 from hyperpaint.simulation.transport.hierarchy import build_geometry
+from hyperpaint.simulation.transport.path_codes import even_pair, philox, pixel_key, uniforms
 from hyperpaint.simulation.transport.paths import (
     Block,
     PathTable,
