@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -161,6 +162,30 @@ class PaintError(Exception):
         if value is None:
             raise cls(found, **texts)
         return value
+
+    @classmethod
+    @contextlib.contextmanager
+    def instead_of(
+        cls, errors: type[Exception] | tuple[type[Exception], ...], found: str, **texts: Any
+    ) -> Iterator[None]:
+        """Raise the error instead of ``errors`` of the block.
+
+        ``$whole``, ``$error`` and ``$kind`` in ``found`` are the message of the original, its first 200
+        characters, and its class; ``texts``: see `Problem`.
+
+        Examples
+        --------
+        >>> with FormatError.instead_of(ValueError, "scale.txt: $error", code="number-unreadable"):
+        ...     float("high")
+        Traceback (most recent call last):
+        hyperpaint.base.errors.FormatError: scale.txt: could not convert string to float: 'high' ...
+        """
+        try:
+            yield
+        except errors as error:
+            words = {"$whole": str(error), "$error": f"{error!s:.200}", "$kind": type(error).__name__}
+            message = re.sub("|".join(map(re.escape, words)), lambda match: words[match[0]], found)
+            raise cls(message, **texts) from error
 
     def note(self, found: str, *, mend: str = "", option: str = "") -> None:
         """Add a remark; Python prints it below the message."""

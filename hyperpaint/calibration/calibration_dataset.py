@@ -431,11 +431,13 @@ def _mean_over_response(responses: Responses, band: int, grid: Floats, values: F
     fine_grid = np.arange(centre - reach - step, centre + reach + 1.5 * step, step)
     response = responses.on(fine_grid, band) * step
     is_inside = (fine_grid >= grid[0]) & (fine_grid <= grid[-1])
-    if response[is_inside].sum() < MIN_COVERAGE:
-        return float("nan")
-    return float(
-        (response[is_inside] * np.interp(fine_grid[is_inside], grid, values)).sum()
-        / response[is_inside].sum()
+    return (
+        float("nan")
+        if response[is_inside].sum() < MIN_COVERAGE
+        else float(
+            (response[is_inside] * np.interp(fine_grid[is_inside], grid, values)).sum()
+            / response[is_inside].sum()
+        )
     )
 
 
@@ -1533,7 +1535,12 @@ def calibrate(
         if progress is not None:
             progress(next(done), total)
 
-    bad = _initial_bad_elements(lab, bad_elements)
+    # elements (band, cross_track) that are bad before any lamp line is fitted
+    bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
+    if bad_elements is not None:
+        bad = bad | element_values(bad_elements, bad.shape, "bad_elements").astype(bool)
+    if bad.all():
+        raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
     flat_factors = (
         None if flat_field is None else element_values(flat_field, bad.shape, "flat_field").astype(np.float64)
     )
@@ -1693,16 +1700,6 @@ def _refuse_undersampled(lab: LabSweep, wavelength_map: WavelengthMap, fwhm: Flo
         mend=f"sweep with the monochromator's line widened to {1.2 * max(needed_width, distance):.2g} nm",
         code="bands-undersampled",
     )
-
-
-def _initial_bad_elements(lab: LabSweep, declared: xr.DataArray | None) -> Bools:
-    # Return the elements (band, cross_track) that are bad before any lamp line is fitted.
-    bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
-    if declared is not None:
-        bad = bad | element_values(declared, bad.shape, "bad_elements").astype(bool)
-    if bad.all():
-        raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
-    return bad
 
 
 def _check_trusted(sweep_data: SweepData, lamp_lines: LampLines, fits: Sequence[Fits | None]) -> None:

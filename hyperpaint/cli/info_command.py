@@ -411,14 +411,13 @@ def _folder(path: Path) -> Facts:
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
 
-    try:
+    with StoreError.instead_of(
+        CollectError,
+        f"{path} is a folder, but neither a Zarr store nor a field day ($whole)",
+        expected=_KNOWN_FORMATS,
+        code="format-unknown",
+    ):
         return facts_of_field_folder(workflows.field_folder.find_field_files(path))
-    except CollectError as error:
-        raise StoreError(
-            f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
-            expected=_KNOWN_FORMATS,
-            code="format-unknown",
-        ) from error
 
 
 def _store(path: Path) -> Facts:

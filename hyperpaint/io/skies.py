@@ -164,10 +164,8 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     (array([450., 850.]), array([0.3 , 0.05]))
     """
     lines = (line for line in sky_lines(path) if line.strip() and not line.startswith("#"))
-    try:
+    with FormatError.instead_of(csv.Error, f"{path}: not a CSV table: $whole", code="text-unreadable"):
         rows = list(csv.reader(lines))
-    except csv.Error as error:
-        raise FormatError(f"{path}: not a CSV table: {error}", code="text-unreadable") from error
     problems = Problems(f"{path}: not a table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
     has_directions = "radiance" in names
@@ -189,18 +187,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
             Problem(found, expected=f"rows of {len(names)}", code="length-mismatch"),
         ),
     )
-    try:
+    with FormatError.instead_of(
+        (ValueError, KeyError),
+        f"{path}: $whole",
+        expected=f"rows of numbers below headings among {list(_COLUMNS)}",
+        code="number-unreadable",
+    ):
         table = np.array(rows[1:], np.float64)
         factors = [
             conversion_factor(cell.partition("[")[2].rstrip("] "), _COLUMNS[name])
             for cell, name in zip(rows[0], names, strict=True)
         ]
-    except (ValueError, KeyError) as error:
-        raise FormatError(
-            f"{path}: {error}",
-            expected=f"rows of numbers below headings among {list(_COLUMNS)}",
-            code="number-unreadable",
-        ) from error
     with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
     wrong_rows = np.flatnonzero(~np.isfinite(table).all(axis=1))

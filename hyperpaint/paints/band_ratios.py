@@ -5,9 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import takes_quantities
-from hyperpaint.base.schema import BAND, Floats
+from hyperpaint.base import BAND, Floats, Problems, SchemaError, takes_quantities
 from hyperpaint.radiometry.spectral_axis import at
 from hyperpaint.radiometry.uncertainty import FORMS
 

@@ -16,11 +16,7 @@ from dask._task_spec import DataNode, Task, TaskRef, convert_legacy_graph
 from dask.highlevelgraph import HighLevelGraph
 from scipy.linalg import solve_triangular
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError, warn_if
-from hyperpaint.base.facts import one_of, takes_quantities
-from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -32,8 +28,15 @@ from hyperpaint.base.schema import (
     Bools,
     Floats,
     Ints,
+    Problems,
     Quality,
+    SchemaError,
+    one_of,
+    schema,
+    takes_quantities,
+    warn_if,
 )
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.paints.paint_libraries import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
@@ -238,17 +241,16 @@ def make_detector(
     covariance = background.products - background.pixels * np.outer(mean, mean)
     covariance = covariance / (background.pixels - 1)
     shrunk = (1.0 - shrinkage) * covariance + shrinkage * np.diag(np.diag(covariance))
-    try:
+    with SchemaError.instead_of(
+        np.linalg.LinAlgError,
+        "the covariance of the background is singular: some bands depend linearly on others",
+        mend="raise shrinkage=, such as to 0.001, or set 'good' to False in interpolated bands",
+        option="give --shrinkage 0.001",
+        code="covariance-singular",
+    ):
         project = (
             projection(paints, sky) if method == "spectral_angle" else projection(paints, sky, mean, shrunk)
         )
-    except np.linalg.LinAlgError as error:
-        raise SchemaError(
-            "the covariance of the background is singular: some bands depend linearly on others",
-            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in interpolated bands",
-            option="give --shrinkage 0.001",
-            code="covariance-singular",
-        ) from error
     other_distances = distances(other_paints, paints, sky)
     limit = _distance_limits(other_distances, unknown_rate)
     exclusion_limit = np.full(len(paints), -1.0)

@@ -37,12 +37,9 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
-from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     BAND,
+    EXCLUDED,
     LIBRARY_VARIABLES,
     MEMBER,
     QUANTILE,
@@ -51,6 +48,15 @@ from hyperpaint.base.schema import (
     Bools,
     Floats,
     Floats32,
+    Problems,
+    SchemaError,
+    convert,
+    documented,
+    mirror_reflection,
+    one_of,
+    schema,
+    takes_quantities,
+    warn_user,
 )
 from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour, srgb, srgb_hex
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES

@@ -475,10 +475,11 @@ class Explored:
     def _bands(self, lines: Lines | None, wavelength: Any) -> Array:
         # reflectance (line, column, band) of some lines, or with ``lines`` None of the stored means
         nm = list(wavelength)
-        if lines is None and self._means is not None:
-            values = at(self._means, nm)["reflectance"]
-        else:
-            values = pixels(self.line, slice(*(lines or (None,))), wavelength=nm)["reflectance"]
+        values = (
+            at(self._means, nm)["reflectance"]
+            if lines is None and self._means is not None
+            else pixels(self.line, slice(*(lines or (None,))), wavelength=nm)["reflectance"]
+        )
         return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
 
     def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:

@@ -126,11 +126,11 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
     path = Path(path)
     if not path.suffix:  # as matplotlib does
         path = path.with_name(f"{path.name}.{figure.canvas.get_default_filetype()}")
-    with published_files([path], overwrite=True) as (target,):
-        try:
-            figure.savefig(target, dpi=dpi)
-        except ValueError as error:
-            raise SchemaError(f"{path}: {error}", code="picture-unwritable") from error
+    with (
+        published_files([path], overwrite=True) as (target,),
+        SchemaError.instead_of(ValueError, f"{path}: $whole", code="picture-unwritable"),
+    ):
+        figure.savefig(target, dpi=dpi)
     return figure
 
 

@@ -62,9 +62,11 @@ def darks_of_lines(
             away = np.array([shortest, longest])[:, None, None] - dark_exposure.mean()
             fitted = (dark.mean(axis=0, dtype=np.float64) + rate * away).astype(np.float32)
             index = np.zeros(exposure.size, np.int64)
-            if longest == shortest:
-                return fitted[:1], index, np.zeros(exposure.size, np.float32)
-            return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
+            return (
+                (fitted[:1], index, np.zeros(exposure.size, np.float32))
+                if longest == shortest
+                else (fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32))
+            )
         dark = dark[is_usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():

@@ -613,12 +613,12 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
     if min(dark.size, lit.size) < GAPS.min_px:
         return f"clouds were broken, and no shadow beside this car shows that the sun was free here; {advice}"
     fraction = float(np.median(dark) / np.median(lit))
-    if not fraction <= GAPS.max_over_record * recorded:
-        return (
-            f"clouds were broken, and a shadow beside this car has {fraction:.0%} of the light, expected "
-            f"{recorded:.0%} by the record: a cloud covered the sun here; {advice}"
-        )
-    return ""
+    return (
+        f"clouds were broken, and a shadow beside this car has {fraction:.0%} of the light, expected "
+        f"{recorded:.0%} by the record: a cloud covered the sun here; {advice}"
+        if not fraction <= GAPS.max_over_record * recorded
+        else ""
+    )
 
 
 # --- lean of a roof towards the sun: its prior uncertainty, and its estimate from a height model -----------

@@ -815,9 +815,11 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
             number = detector if has_detectors else np.searchsorted(_DETECTOR_EDGES_NM, wavelength, "right")
             widths = np.array(_WIDTHS_NM[make])[np.minimum(number, len(_DETECTOR_EDGES_NM))]
             return widths, f"widths of channels as usual for {make.upper()}"
-    if wavelength.size < 2:
-        return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
-    return 2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance"
+    return (
+        (np.ones(wavelength.size), "widths of channels assumed, 1 nm")
+        if wavelength.size < 2
+        else (2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance")
+    )
 
 
 UNKNOWN = "unknown"

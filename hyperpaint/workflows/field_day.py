@@ -609,9 +609,11 @@ class FieldDayRun:
         if name == "validate" and outcome.state == "unchanged":
             self.passed = record.entries().get("passed")
         # proposed regions have no names to compare, and references may have no places
-        if self.regions is None and outcome.error and "reference-unmatched" in outcome.error.codes:
-            return StepOutcome(name, "left out", outcome.error.text(on_command_line=True))
-        return outcome
+        return (
+            StepOutcome(name, "left out", outcome.error.text(on_command_line=True))
+            if self.regions is None and outcome.error and "reference-unmatched" in outcome.error.codes
+            else outcome
+        )
 
 
 # --- the steps ---------------------------------------------------------------------------------------------

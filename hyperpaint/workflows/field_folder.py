@@ -374,12 +374,10 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
         "utf-8-sig", "replace"
     )
-    try:
+    with FormatError.instead_of(
+        csv.Error, "not a table of text ($whole)", expected="rows of short cells", code="text-unreadable"
+    ):
         rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
-    except csv.Error as error:
-        raise FormatError(
-            f"not a table of text ({error})", expected="rows of short cells", code="text-unreadable"
-        ) from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
     FormatError.raise_if(
         len(columns) != 1 or len(rows) < 2,
@@ -387,10 +385,10 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
         expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
         code="height-column-missing",
     )
-    try:
+    with FormatError.instead_of(
+        (ValueError, IndexError), "a height is not a number: $whole", code="number-unreadable"
+    ):
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
-    except (ValueError, IndexError) as error:
-        raise FormatError(f"a height is not a number: {error}", code="number-unreadable") from error
     FormatError.raise_if(not np.isfinite(heights).all(), "a height is not finite", code="not-finite")
     problems = Problems("its heights cannot be used", FormatError)
     metres = metres_of(*column_heading(rows[0][columns[0]]), problems)

@@ -326,16 +326,15 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
         else:
             with needs_extra("distributed", "distributed", "processing on a cluster"):
                 from distributed import Client
-            try:
+            with CollectError.instead_of(
+                (OSError, ValueError, TimeoutError),
+                f"no dask scheduler answers at {address!r} ($whole)",
+                expected="an address such as tcp://host:8786",
+                code="scheduler-unreachable",
+            ):
                 # not the default client: if no scheduler answers, it would remain the default, and later
                 # computations wait
                 client = stack.enter_context(Client(address, timeout="10s", set_as_default=False))
-            except (OSError, ValueError, TimeoutError) as error:
-                raise CollectError(
-                    f"no dask scheduler answers at {address!r} ({error})",
-                    expected="an address such as tcp://host:8786",
-                    code="scheduler-unreachable",
-                ) from error
             stack.enter_context(client.as_current())
             stack.enter_context(dask.config.set(scheduler=client.get))
         if client is not None:

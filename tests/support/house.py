@@ -286,7 +286,9 @@ def faults_without_code() -> Names:
             if isinstance(node, ast.Call) and name != "base.errors":
                 function = ast.unparse(node.func)
                 is_fault = function.rpartition(".")[2] in ERRORS
-                is_fault |= bool(re.search(r"problems?\.add(_if)?$|Error\.raise_if(_none)?$", function))
+                is_fault |= bool(
+                    re.search(r"problems?\.add(_if)?$|Error\.(raise_if(_none)?|instead_of)$", function)
+                )
                 coded = {keyword.arg for keyword in node.keywords} & {"code", "problems", None}
                 categories = map(ast.unparse, node.args[1:2])
                 is_bare = function == "warnings.warn" and "PaintWarning" in categories

@@ -90,12 +90,13 @@ def crs_of(crs: Any) -> str:
     # Raises `SchemaError`: PROJ does not know it, or it is not of the earth's surface. Raises
     # `MissingExtraError`: pyproj is not installed.
     pyproj = _pyproj()
-    try:
+    with SchemaError.instead_of(
+        pyproj.exceptions.CRSError,
+        f"crs {crs!r:.80} is unknown to PROJ",
+        expected="such as 'EPSG:32617'",
+        code="crs-unknown",
+    ):
         system = pyproj.CRS.from_user_input(crs).to_2d()
-    except pyproj.exceptions.CRSError as error:
-        raise SchemaError(
-            f"crs {crs!r:.80} is unknown to PROJ", expected="such as 'EPSG:32617'", code="crs-unknown"
-        ) from error
     SchemaError.raise_if(
         not (system.is_projected or system.is_geographic),
         f"crs {crs!r:.80} is neither projected nor geographic",
@@ -231,9 +232,9 @@ def is_in_metres(crs: str) -> bool:
     system = _crs(crs)
     directions = {axis.direction.lower() for axis in system.axis_info}
     # both axes of a map of the north pole may point south
-    if "west" in directions or {"south", "east"} <= directions:
-        return False
-    return system.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in system.axis_info)
+    is_mirrored = "west" in directions or {"south", "east"} <= directions
+    in_metres = all(axis.unit_conversion_factor == 1.0 for axis in system.axis_info)
+    return system.is_projected and not is_mirrored and in_metres
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
@@ -490,9 +491,11 @@ def canonical_values(
 ) -> Floats:
     # Return canonical poses (6, row), float64, from columns in the given convention.
     latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
-    convergence = None
-    if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
-        convergence = meridian_convergence(latitude, longitude, convention.grid_crs or crs)
+    convergence = (
+        meridian_convergence(latitude, longitude, convention.grid_crs or crs)
+        if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None
+        else None
+    )
     angles = convention.canonical(roll, pitch, heading, convergence=convergence)
     return np.stack([latitude, longitude, convention.ellipsoidal(altitude), *angles])
 

@@ -343,7 +343,12 @@ def _journal(target: Path) -> list[Path]:
     if not os.path.lexists(path.parent):
         return []
     targets = []
-    try:
+    with StoreError.instead_of(
+        (ValueError, TypeError, RecursionError, OSError),
+        f"{path} is not the journal of a writer",
+        mend="check its content, then remove it",
+        code="staging-foreign",
+    ):
         if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > MAX_JOURNAL_BYTES:
             raise ValueError
         for place, name in json.loads(path.read_bytes()):
@@ -353,10 +358,4 @@ def _journal(target: Path) -> list[Path]:
             targets.append(target.parent / name if place == "." else Path(folder, name))
         if target not in targets:
             raise ValueError
-    except (ValueError, TypeError, RecursionError, OSError) as error:
-        raise StoreError(
-            f"{path} is not the journal of a writer",
-            mend="check its content, then remove it",
-            code="staging-foreign",
-        ) from error
     return targets

@@ -612,10 +612,11 @@ def load_tables(path: Path, kind: str) -> dict[str, Any]:
         expected=f"the keys of {kind}",
         code="key-too-long",
     )
-    try:
+    # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+    with FormatError.instead_of(
+        (ValueError, RecursionError), f"{path}: not TOML: $error", code="toml-unreadable"
+    ):
         return tomllib.loads(raw.decode("utf-8"))
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
-        raise FormatError(f"{path}: not TOML: {error!s:.300}", code="toml-unreadable") from error
 
 
 def suggestion(key: str, allowed: Iterable[str]) -> str:

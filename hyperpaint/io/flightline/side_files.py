@@ -111,14 +111,13 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
         match = _EXPOSURE.fullmatch(" ".join(key.split()))
         if match is None:
             continue
-        try:
+        with FormatError.instead_of(
+            (ValueError, UnitsError),
+            f"{source}: {key} = {text[:40]!r}",
+            expected="a number, and a unit of time in the brackets",
+            code="number-unreadable",
+        ):
             value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
-        except (ValueError, UnitsError) as error:
-            raise FormatError(
-                f"{source}: {key} = {text[:40]!r}",
-                expected="a number, and a unit of time in the brackets",
-                code="number-unreadable",
-            ) from error
         FormatError.raise_if(
             not (np.isfinite(value) and value > 0),
             f"{source}: {key} = {text}",
@@ -619,12 +618,13 @@ def _cell(row: list[str], k: int, line: int, heading: list[str], problems: Probl
 
 def _cube(path: Path) -> xr.DataArray:
     # frames (frame, band, cross_track) of a cube
-    try:
+    with FormatError.instead_of(
+        (PaintError, OSError, KeyError),
+        f"cube {path.name!r}: $whole",
+        expected="an ENVI cube of counts",
+        code="cube-missing",
+    ):
         counts = open_envi(path, unsaid="counts")["counts"].reset_coords(drop=True).drop_attrs()
-    except (PaintError, OSError, KeyError) as error:
-        raise FormatError(
-            f"cube {path.name!r}: {error}", expected="an ENVI cube of counts", code="cube-missing"
-        ) from error
     return counts.chunk({ALONG_TRACK: CHUNK_LINES}).rename({ALONG_TRACK: "frame"})
 
 
@@ -843,12 +843,10 @@ def open_calibration(
         # whether the elements (band, cross_track) are in the list
         if path.suffix.lower() == ".csv":
             rows = read_limited_text(path, _MAX_BYTES, "a table of bad elements").splitlines()
-            try:
+            with FormatError.instead_of(
+                ValueError, f"{path}: $whole", expected="numbers of band and column", code="file-unreadable"
+            ):
                 places = np.loadtxt(rows, np.int64, delimiter=",", skiprows=1, usecols=(0, 1), ndmin=2)
-            except ValueError as error:
-                raise FormatError(
-                    f"{path}: {error}", expected="numbers of band and column", code="file-unreadable"
-                ) from error
             sizes, is_fitting = places.max(axis=0, initial=-1) + 1, ((places >= 0) & (places < shape)).all()
             bad = np.zeros(shape, bool)
             if is_fitting:
@@ -878,14 +876,14 @@ def _read(
         expected="a Zarr store or a netCDF file",
         code="file-not-found",
     )
-    try:
+    # zarr and the netCDF engines raise errors of many classes
+    with FormatError.instead_of(
+        Exception,
+        f"{source}: not a readable Zarr store or netCDF file ($kind: $error)",
+        mend="" if zarr else "install for netCDF-4: python -m pip install h5netcdf",
+        code="file-unreadable",
+    ):
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
-    except Exception as error:  # zarr and the netCDF engines raise errors of many classes
-        raise FormatError(
-            f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
-            mend="" if zarr else "install for netCDF-4: python -m pip install h5netcdf",
-            code="file-unreadable",
-        ) from error
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:

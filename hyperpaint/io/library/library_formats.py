@@ -164,10 +164,8 @@ def read_sample_table(
     text = decoded_text(read_limited_text(path, MAX_BYTES, "a table of spectra"))
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
     separator = heading_cells(lines[0][1])[0]
-    try:
+    with FormatError.instead_of(csv.Error, f"{source}: no table ($whole)", code="row-unreadable"):
         rows = list(csv.reader([line for _, line in lines], delimiter=separator))
-    except csv.Error as error:
-        raise FormatError(f"{source}: no table ({error})", code="row-unreadable") from error
     is_band = _bands([line for _, line in lines])
     if is_transposed := is_band is None:
         rows = _transposed(rows, source)
@@ -915,10 +913,11 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     >>> [finding.rule for finding in check_library(declare_library(paints)).findings]
     ['reflectance-range', 'uncertainty']
     """
-    if isinstance(library, str | os.PathLike):
-        source, dataset = os.fspath(library), open_library(library)
-    else:
-        source, dataset = str(library.attrs.get("source", "the library")), with_new_names(library)
+    source, dataset = (
+        (os.fspath(library), open_library(library))
+        if isinstance(library, str | os.PathLike)
+        else (str(library.attrs.get("source", "the library")), with_new_names(library))
+    )
     findings: list[LibraryFinding] = []
     for rules in (_structure, _paints, _populations, _declarations):
         if findings and rules is _paints:

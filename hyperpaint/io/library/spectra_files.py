@@ -1009,7 +1009,35 @@ def read_plain_table(
         fwhm, values = in_nanometres(text_of[int(widths[0])], values[:, -1], source)[0], values[:, :-1]
     headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
-        _check_words(preamble, headings, source)
+        # neither headings nor the lines above may name radiance, irradiance, counts or transmittance
+        def foreign(text: str) -> str:
+            # Word or unit of another quantity than reflectance, empty if there is none
+            match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
+            return other_quantity(text) or (match[0].strip() if match else "")
+
+        named = [name.strip() for name in headings[1:] if foreign(name) or STATISTIC.fullmatch(name.strip())]
+        FormatError.raise_if(
+            named,
+            f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
+            expected="reflectance",
+            mend=f"remove these columns, or {_SAY_SO}",
+            code="quantity-wrong",
+        )
+        text = " ".join(preamble)
+        title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
+        FormatError.raise_if(
+            word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""),
+            f"{source}: the heading names {word!r}",
+            expected="reflectance",
+            mend=_SAY_SO,
+            code="quantity-wrong",
+        )
+        if "reflect" not in text.lower() and (lamp := _LAMP.search(text)):
+            warn_user(
+                f"{source}: the lines above the numbers name a {lamp[0].lower()}: are the values its light? "
+                f"{_SAY_SO}",
+                "quantity-doubtful",
+            )
     # the unit of every column; without names, the last line above the numbers tells the unit of all
     last = [preamble[-1] if preamble else ""] * spectra.size
     is_percent = np.array([PERCENT.search(heading) is not None for heading in headings[1:] or last], np.bool_)
@@ -1152,41 +1180,6 @@ def _heading_cells(line: str, mark: str) -> list[str]:
         return next(csv.reader([text], delimiter=mark or " ", skipinitialspace=not mark), [])
     except csv.Error:
         return []
-
-
-def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
-    # Check that the headings and units of a table do not name another quantity than reflectance.
-    # preamble: Lines above the numbers; headings: names of all columns, or none.
-    # Raises FormatError: A heading names radiance, irradiance, counts, transmittance or a statistic; or the
-    # lines above name such a quantity and not reflectance.
-    def foreign(text: str) -> str:
-        # Word or unit of another quantity than reflectance, empty if there is none
-        match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
-        return other_quantity(text) or (match[0].strip() if match else "")
-
-    named = [name.strip() for name in headings[1:] if foreign(name) or STATISTIC.fullmatch(name.strip())]
-    FormatError.raise_if(
-        named,
-        f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
-        expected="reflectance",
-        mend=f"remove these columns, or {_SAY_SO}",
-        code="quantity-wrong",
-    )
-    text = " ".join(preamble)
-    title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
-    FormatError.raise_if(
-        word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""),
-        f"{source}: the heading names {word!r}",
-        expected="reflectance",
-        mend=_SAY_SO,
-        code="quantity-wrong",
-    )
-    if "reflect" not in text.lower() and (lamp := _LAMP.search(text)):
-        warn_user(
-            f"{source}: the lines above the numbers name a {lamp[0].lower()}: are the values its light? "
-            f"{_SAY_SO}",
-            "quantity-doubtful",
-        )
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
@@ -1917,31 +1910,31 @@ def read_parquet_library(path: Path) -> xr.Dataset:
         import pyarrow as pa
         import pyarrow.parquet as pq
     source = path.name
-    try:
-        with pq.ParquetFile(os.fspath(path)) as file:
-            columns = _parquet_columns(file, source)
-            is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(
-            f"{source} cannot be read as Parquet: {error!s:.200}",
+    with (
+        FormatError.instead_of(
+            (pa.ArrowException, OSError),
+            f"{source} cannot be read as Parquet: $error",
             mend="copy it again",
             code="file-unreadable",
-        ) from error
+        ),
+        pq.ParquetFile(os.fspath(path)) as file,
+    ):
+        columns = _parquet_columns(file, source)
+        is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
     names = list(map(str, columns["name"]))
     is_restored = is_ours and metadata_path(path).exists()
     # keys of the rows of a library of hyperpaint
     keys: list[Key] = []
     for at, text in enumerate(columns["additional_properties"] if is_restored else []):
-        try:
+        with FormatError.instead_of(
+            (ValueError, KeyError, TypeError, OverflowError, RecursionError),
+            f"{source}: row {at} has no variable, paint and index in additional_properties",
+            mend="write the library again",
+            code="record-unmatched",
+        ):
             cells = json.loads(text)
             paint = cells[SIGNATURE] if SIGNATURE in cells else cells["paint"]
             keys.append((str(cells["variable"]), int(paint), int(cells["place"])))
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise FormatError(
-                f"{source}: row {at} has no variable, paint and index in additional_properties",
-                mend="write the library again",
-                code="record-unmatched",
-            ) from error
     paints = sum(key[0] == CENTRE for key in keys)
     FormatError.raise_if(
         sorted({key[1] for key in keys}) != list(range(paints))

@@ -308,16 +308,15 @@ def _window(
             code="crs-missing",
         )
     longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
-    try:
+    with FormatError.instead_of(
+        (CPLE_BaseError, CRSError, RasterioError),
+        f"{subject}, and positions cannot be converted to its crs ($error)",
+        mend="declare the right one with gdal_edit -a_srs",
+        code="crs-unknown",
+    ):
         x, y = (
             np.asarray(coordinate) for coordinate in transform("EPSG:4326", raster.crs, longitude, latitude)
         )
-    except (CPLE_BaseError, CRSError, RasterioError) as error:
-        raise FormatError(
-            f"{subject}, and positions cannot be converted to its crs ({error!s:.200})",
-            mend="declare the right one with gdal_edit -a_srs",
-            code="crs-unknown",
-        ) from error
     column, row = ~raster.transform * (x, y)
     column, row = (coordinate[np.isfinite(column) & np.isfinite(row)] for coordinate in (column, row))
     is_inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
@@ -632,13 +631,12 @@ def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, s
         return "Arbitrary", [], "Meters", {}
     with needs_extra("pyproj", "geo", "a map with its reference system"):
         import pyproj
-    try:
+    with SchemaError.instead_of(
+        pyproj.exceptions.CRSError,
+        f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}",
+        code="crs-unknown",
+    ):
         crs = pyproj.CRS.from_user_input(wkt).to_2d()
-    except pyproj.exceptions.CRSError as error:
-        raise SchemaError(
-            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}",
-            code="crs-unknown",
-        ) from error
     text = {"coordinate system string": crs.to_wkt("WKT1_ESRI")}
     geodetic = crs.geodetic_crs
     datum = geodetic.name if geodetic is not None else "WGS 84"

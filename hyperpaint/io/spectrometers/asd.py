@@ -367,15 +367,15 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     surplus = f"{cursor.remaining} bytes follow the last block of a version {version} file"
     refuse(path.name, (not cursor.at_end, Problem(surplus, code="file-damaged")))
     second, minute, hour, day, month, year = header["saved"][:6]
-    try:
+    with FormatError.instead_of(
+        ValueError,
+        f"{path.name}: time of the spectrum {header['saved'][:6]} is not a date",
+        code="time-unreadable",
+    ):
         if not (80 <= year < 250 and 0 <= second <= 61):
             raise ValueError
         # C's struct tm allows second 60, datetime does not
         local_time = dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
-    except ValueError as error:
-        raise FormatError(
-            f"{path.name}: time of the spectrum {header['saved'][:6]} is not a date", code="time-unreadable"
-        ) from error
     wavelength: Floats = first + step * np.arange(channels, dtype=np.float64)
     wavelength.flags.writeable = False
     dark_s = header["dark_epoch"]
@@ -411,7 +411,12 @@ def _gps_fix(name: str, block: bytes) -> AsdGps | None:
     _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
     if latitude == longitude == altitude == 0.0:
         return None
-    try:
+    with FormatError.instead_of(
+        ValueError,
+        f"{name}: GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
+        expected="ddmm.mmmm, dddmm.mmmm and metres",
+        code="file-damaged",
+    ):
         degrees = []
         for ddmm, limit in ((latitude, 90.0), (longitude, 180.0)):
             whole, minutes = divmod(abs(ddmm), 100.0)
@@ -420,12 +425,6 @@ def _gps_fix(name: str, block: bytes) -> AsdGps | None:
             degrees.append(math.copysign(whole + minutes / 60.0, ddmm))
         # in the file, west is positive
         return AsdGps(degrees[0], -degrees[1], altitude, dt.time(hour, minute, second))
-    except ValueError as error:
-        raise FormatError(
-            f"{name}: GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
-            expected="ddmm.mmmm, dddmm.mmmm and metres",
-            code="file-damaged",
-        ) from error
 
 
 def _text_of_bytes(raw: bytes) -> str:
@@ -550,14 +549,13 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     preamble: dict[str, Any] = {}
     for key, (pattern, meaning) in export.preamble.items():
         match = re.search(pattern, text, re.IGNORECASE)
-        try:
+        with FormatError.instead_of(
+            ValueError,
+            f"{name}: {match[0] if match else ''!r} is not a date",
+            expected="month/day/year",
+            code="time-unreadable",
+        ):
             preamble[key] = None if match is None else meaning(match)
-        except ValueError as error:
-            raise FormatError(
-                f"{name}: {match[0] if match else ''!r} is not a date",
-                expected="month/day/year",
-                code="time-unreadable",
-            ) from error
     # the heading: names of the spectra, or their wavelengths if each row is a spectrum
     separator = max(_SEPARATORS, key=lines[start].count)
     names = [cell.strip().strip('"') for cell in lines[start].split(separator)]

@@ -179,19 +179,18 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     values = np.empty((counts[separator] // len(wavelength) + 1, len(wavelength)))
     for index, (line_number, line) in enumerate(rows):
         cells = [cell.strip().strip('"') for cell in line.split(separator)]
-        try:
+        with FormatError.instead_of(
+            (ValueError, OverflowError),
+            f"{name}: line {line_number} is unreadable ($whole)",
+            expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
+            code="row-unreadable",
+        ):
             time = _time_of_cell(" ".join(cells[:time_columns]))
             if len(cells) != len(wavelength) + time_columns:
                 raise ValueError(f"{len(cells) - time_columns} values")
             if separator != ",":
                 cells = [cell.replace(",", ".") for cell in cells]
             values[index] = [float(cell) if cell else math.nan for cell in cells[time_columns:]]
-        except (ValueError, OverflowError) as error:
-            raise FormatError(
-                f"{name}: line {line_number} is unreadable ({error})",
-                expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
-                code="row-unreadable",
-            ) from error
         line_numbers.append(line_number)
         times.append(time)
     stamps = _in_one_order(times, name, zone)

@@ -134,12 +134,10 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     """
     path = Path(path)
     data = read_limited_text(path, _MAX_BYTES, "a list of paints and references")
-    try:
+    with FormatError.instead_of(
+        UnicodeDecodeError, f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
+    ):
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FormatError(
-            f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
-        ) from error
     problems = Problems(f"{path} cannot be used as a list of paints and references", FormatError)
     # text of an entry in messages, paint, and references
     entries: list[tuple[str, Any, Any]] = []

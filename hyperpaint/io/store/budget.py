@@ -364,12 +364,14 @@ def thread_count() -> int:
     import dask
     from dask.system import CPU_COUNT
 
-    if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
-        return 1
-    return int(
-        getattr(dask.config.get("pool", None), "_max_workers", 0)
-        or dask.config.get("num_workers", None)
-        or CPU_COUNT
+    return (
+        1
+        if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded")
+        else int(
+            getattr(dask.config.get("pool", None), "_max_workers", 0)
+            or dask.config.get("num_workers", None)
+            or CPU_COUNT
+        )
     )
 
 

@@ -630,9 +630,8 @@ def is_streamed(variable: xr.Variable) -> bool:
     # Return whether a variable is written block by block; xarray writes small variables.
     import dask
 
-    if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
-        return False
-    return dask.is_dask_collection(variable) or chunks_of(variable) != variable.shape
+    has_blocks = variable.dtype.kind in "biufcmM" and variable.ndim and variable.size
+    return bool(has_blocks and (dask.is_dask_collection(variable) or chunks_of(variable) != variable.shape))
 
 
 def placeholder(variable: xr.Variable) -> xr.Variable:

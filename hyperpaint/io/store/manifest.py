@@ -170,16 +170,17 @@ class Location:
     def end_of(self, *parts: str) -> bytes:
         # Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError if the chunk is missing.
         key = self.key(*parts)
-        try:
+        with IncompleteStoreError.instead_of(
+            OSError,
+            f"the chunk {key} is missing or empty",
+            mend="write the group again",
+            code="chunk-missing",
+        ):
             if self.local is None:
                 return bytes(self.fs.tail(key, 4))
             with open(key, "rb") as file:
                 file.seek(-4, os.SEEK_END)
                 return file.read()
-        except OSError as error:
-            raise IncompleteStoreError(
-                f"the chunk {key} is missing or empty", mend="write the group again", code="chunk-missing"
-            ) from error
 
     def read_json(self, *parts: str) -> dict[str, Any] | None:
         # Return a JSON object, None if there is no file; IncompleteStoreError for a damaged one.

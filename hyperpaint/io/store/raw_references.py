@@ -92,17 +92,17 @@ class RawFile:
             return cls(url, status.st_size, status.st_mtime_ns)
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
-        try:
+        # every file system of fsspec has its own classes
+        with StoreError.instead_of(
+            Exception,
+            f"{url}: $kind: $error",
+            mend="check the URL and the credentials of the environment",
+            code="file-unreadable",
+        ):
             fs, path = url_to_fs(url)
             info = fs.info(path)
             etag = info.get("ETag")
             return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
-        except Exception as error:  # every file system of fsspec has its own classes
-            raise StoreError(
-                f"{url}: {type(error).__name__}: {error!s:.200}",
-                mend="check the URL and the credentials of the environment",
-                code="file-unreadable",
-            ) from error
 
     def difference(self) -> str:
         # Return a description of how the present file differs from this state, empty if equal.
@@ -220,10 +220,11 @@ def _icechunk() -> Any:
 
 def check_url(url: str) -> None:
     # Raise for a URL that icechunk cannot read, or that icechunk and fsspec parse differently.
-    if url.startswith("file:///"):
-        is_readable = posixpath.normpath(_local_path(url)) == _local_path(url)
-    else:
-        is_readable = _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
+    is_readable = (
+        posixpath.normpath(_local_path(url)) == _local_path(url)
+        if url.startswith("file:///")
+        else _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
+    )
     StoreError.raise_if(
         not (is_readable and url.isprintable()),
         f"icechunk cannot read raw files from {url!r:.200}",

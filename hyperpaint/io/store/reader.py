@@ -105,14 +105,14 @@ def list_groups(path: Any) -> list[str]:
     while pending:
         name = pending.pop()
         check_metadata(location, name)
-        try:
+        # zarr and every file system have their own classes
+        with StoreError.instead_of(
+            Exception,
+            f"{path} is not a Zarr store ($kind: $error)",
+            expected="a folder, zip file or URL with a zarr.json or .zgroup",
+            code="store-unreadable",
+        ):
             members = dict(zarr.open_group(source, path=name, mode="r", use_consolidated=False).members())
-        except Exception as error:  # zarr and every file system have their own classes
-            raise StoreError(
-                f"{path} is not a Zarr store ({type(error).__name__}: {error!s:.200})",
-                expected="a folder, zip file or URL with a zarr.json or .zgroup",
-                code="store-unreadable",
-            ) from error
         groups = [joined(name, key) for key, node in members.items() if isinstance(node, zarr.Group)]
         with_arrays += [name] if len(groups) < len(members) else []
         pending += groups
@@ -379,12 +379,9 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
         expected=f"at most {limit}",
         code="file-too-large",
     )
-    try:
+    # every codec has its own classes
+    with StoreError.instead_of(Exception, f"{path} cannot be read: $kind: $error", code="store-unreadable"):
         opened.load()
-    except Exception as error:  # every codec has its own classes
-        raise StoreError(
-            f"{path} cannot be read: {type(error).__name__}: {error!s:.200}", code="store-unreadable"
-        ) from error
     return opened
 
 
@@ -865,14 +862,15 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
         code="store-unreadable",
     )
     begin = _stamp(location)
-    if is_format_3(location):
-        nodes = location.nodes()
-    else:
-        nodes = {
+    nodes = (
+        location.nodes()
+        if is_format_3(location)
+        else {
             joined(group, name): "array"
             for group in list_groups(path)
             for name in zarr.open_group(source, path=group, mode="r", use_consolidated=False).array_keys()
         }
+    )
     groups = sorted({name.rpartition("/")[0] for name, node_type in nodes.items() if node_type == "array"})
     state = store_state(location, groups)
     problems, notes = list(state.problems), list(state.notes)

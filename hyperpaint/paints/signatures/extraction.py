@@ -16,35 +16,38 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_if, warn_user
-from hyperpaint.base.facts import documented, one_of, takes_quantities
-from hyperpaint.base.mirrored_light import (
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
     BODY,
+    CROSS_TRACK,
     EXCLUDED as MIRROR_EXCLUDED,
     FLAKE_PAINTS,
     INCLUDED,
+    LIBRARY_VARIABLES,
     MAX_ASPECULAR_RANGE_DEG,
     OUTSIDE,
-    THROUGH_COAT,
-    flake_exponents,
-    mirror_reflection,
-    shows_flakes,
-)
-from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import (
-    ALONG_TRACK,
-    BAND,
-    CROSS_TRACK,
-    LIBRARY_VARIABLES,
     SIGNATURE,
+    THROUGH_COAT,
     Array,
     Floats,
+    Problems,
     Progress,
     Quality,
+    SchemaError,
+    documented,
     flag_names,
     flags_set_from,
+    flake_exponents,
+    mirror_reflection,
     numbers_of,
+    one_of,
+    part_of,
     quality_attrs,
+    shows_flakes,
+    takes_quantities,
+    warn_if,
+    warn_user,
 )
 from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
 from hyperpaint.light.coat_transmission import COAT_INDEX

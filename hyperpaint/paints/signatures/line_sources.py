@@ -11,10 +11,21 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Bools, Floats, Ints
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    Array,
+    Bools,
+    Convention,
+    Floats,
+    Ints,
+    MissingExtraError,
+    PaintWarning,
+    Problems,
+    SchemaError,
+    schema,
+)
 from hyperpaint.geometry.georeference.locating import (
     between_maps,
     crs_of,

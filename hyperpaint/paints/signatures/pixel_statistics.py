@@ -8,8 +8,17 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Array, Floats, Progress, Quality
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    Array,
+    Floats,
+    Progress,
+    Quality,
+    SchemaError,
+)
 from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.uncertainty import effective_number

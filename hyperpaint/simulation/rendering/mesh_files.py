@@ -310,12 +310,12 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
         expected=f"{length} with {size} of JSON, as its header declares",
         code="file-truncated",
     )
-    try:
+    with FormatError.instead_of(
+        (ValueError, RecursionError),
+        f"{where}: its JSON chunk cannot be read ($whole)",
+        code="json-unreadable",
+    ):
         header = json.loads(data[20 : 20 + size])
-    except (ValueError, RecursionError) as error:
-        raise FormatError(
-            f"{where}: its JSON chunk cannot be read ({error})", code="json-unreadable"
-        ) from error
     found = f"{where}: its JSON chunk holds {type(header).__name__}"
     _require(isinstance(header, dict), found, expected="an object", code="type-wrong")
     if length < 28 + size:
@@ -421,15 +421,16 @@ def _by_trimesh(data: bytes, where: str) -> RawTriangles:
             return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
     else:
         check_ply(data, where)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy warns of trimesh's parsers
-            options = {"skip_materials": True} if kind == "ply" else {}
-            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
-    except Exception as error:  # trimesh may raise any error
-        raise FormatError(
-            f"{where}: trimesh cannot read it ({type(error).__name__}: {error})", code="mesh-unreadable"
-        ) from error
+    # trimesh may raise any error
+    with (
+        FormatError.instead_of(
+            Exception, f"{where}: trimesh cannot read it ($kind: $whole)", code="mesh-unreadable"
+        ),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")  # numpy warns of trimesh's parsers
+        options = {"skip_materials": True} if kind == "ply" else {}
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
     vertices, faces, face_group = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
     groups: list[tuple[str, ...]] = []
     for node in sorted(scene.graph.nodes_geometry):

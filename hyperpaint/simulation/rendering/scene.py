@@ -954,7 +954,11 @@ class SceneRecord:
                 code="metadata-damaged",
             )
         problems.raise_if_any()
-        try:
+        with SchemaError.instead_of(
+            (TypeError, KeyError, IndexError, AttributeError, ValueError),
+            "not a dataset from hyperpaint.simulation.trace: its attributes are damaged ($whole)",
+            code="metadata-damaged",
+        ):
             parts = {"coat": Coat, "flakes": Flakes}
             materials = tuple(
                 Material(
@@ -980,11 +984,6 @@ class SceneRecord:
                 clear=bool(attrs["clear"]),
                 sun_radius=float(attrs.get("sun_radius", 0.0)),
             )
-        except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
-            raise SchemaError(
-                f"not a dataset from hyperpaint.simulation.trace: its attributes are damaged ({error})",
-                code="metadata-damaged",
-            ) from error
         return record, settings
 
     def codes(self, settings: TraceSettings) -> PathCodes:
