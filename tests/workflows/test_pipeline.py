@@ -17,6 +17,7 @@ from support.refusals import expect_error, expect_errors, expect_words
 from support.tiny_collects import tiny_collect, without_references
 
 import hyperpaint as hp
+from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.io.files import reading
 from hyperpaint.io.files.reading import sampled_digest
@@ -346,14 +347,15 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 def test_other_numerics_are_said_and_computed_on_request(
     tiny: Path, radiance_store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    current = NUMERICS_VERSION
     for module in ("workflows.pipeline", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
     report = hp.verify(radiance_store)
     assert report.ok
-    assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
+    assert report.notes == (f"made by numerics {current}, this is 7: --overwrite computes it again",)
     expect_error(
         hp.StoreError,
-        r"version 1 of the numerics;.*store-ex",
+        rf"version {current} of the numerics;.*store-ex",
         lambda: process(tiny, radiance_store),
     )
     assert (
