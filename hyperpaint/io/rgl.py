@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import Array
+from hyperpaint.base import Array, FormatError, Problem, read_limited
 from hyperpaint.io.files.reading import refuse
 
 # Largest file [byte]; anisotropic materials have about 110 MB.

@@ -11,10 +11,19 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import convert, takes_quantities
-from hyperpaint.base.schema import IRRADIANCE_TIME, Array, Floats, label, require
+from hyperpaint.base import (
+    IRRADIANCE_TIME,
+    Array,
+    Convention,
+    Floats,
+    Problems,
+    SchemaError,
+    convert,
+    label,
+    require,
+    takes_quantities,
+    warn_user,
+)
 
 from .clear_sky import sunward_gain
 from .diffuse_record import SKY_STATES, split_of_arrays

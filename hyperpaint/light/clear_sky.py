@@ -25,8 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ArrayLike, Floats
+from hyperpaint.base import ArrayLike, Floats, SchemaError
 
 #: Single-scattering albedo and asymmetry of the aerosols that have tables [1].
 AEROSOL_MODELS = {"rural": (0.93, 0.65), "humid": (0.97, 0.72)}

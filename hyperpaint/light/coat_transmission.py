@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.schema import ArrayLike, Floats
+from hyperpaint.base import ArrayLike, Floats
 
 from .clear_sky import between_nodes, dome, dome_radiance
 

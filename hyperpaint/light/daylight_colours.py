@@ -5,8 +5,7 @@ import re
 
 import numpy as np
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import Array, ArrayLike, Floats
+from hyperpaint.base import Array, ArrayLike, Floats, SchemaError
 
 from .responses import band_spacing
 

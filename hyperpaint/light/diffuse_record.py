@@ -12,9 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import convert, documented, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     IRRADIANCE_TIME,
@@ -24,8 +22,13 @@ from hyperpaint.base.schema import (
     ArrayLike,
     Floats,
     Ints,
+    Problems,
+    SchemaError,
+    convert,
+    documented,
     label,
     require,
+    takes_quantities,
 )
 
 from .clear_sky import ClearSky, sunlight_table

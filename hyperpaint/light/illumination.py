@@ -18,9 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError, TimeError, warn_user
-from hyperpaint.base.facts import convert, is_number, one_of, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     VARIABLES,
@@ -29,8 +27,16 @@ from hyperpaint.base.schema import (
     Floats,
     Floats32,
     Ints,
+    Problems,
     Quality,
+    SchemaError,
+    TimeError,
+    convert,
+    is_number,
     label,
+    one_of,
+    takes_quantities,
+    warn_user,
 )
 
 from .clear_sky import facing_gain

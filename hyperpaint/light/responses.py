@@ -15,9 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import SRF_SHAPES, ArrayLike, Floats, Ints
+from hyperpaint.base import SRF_SHAPES, ArrayLike, Floats, Ints, Problems, SchemaError, one_of
 
 #: Standard deviation of a Gaussian per unit of full width at half maximum.
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))

@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import convert, takes_quantities
-from hyperpaint.base.schema import ArrayLike, Floats
+from hyperpaint.base import ArrayLike, Floats, SchemaError, convert, takes_quantities
 
 from .clear_sky import ClearSky, between_nodes, disort_tables, dome, dome_radiance
 

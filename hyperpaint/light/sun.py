@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hyperpaint.base.facts import documented, takes_quantities
-from hyperpaint.base.schema import ArrayLike, Floats
+from hyperpaint.base import ArrayLike, Floats, documented, takes_quantities
 
 from .clear_sky import ClearSky
 

@@ -10,10 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.constants import PANEL_SURFACES
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import convert, takes_quantities
-from hyperpaint.base.schema import ArrayLike, Floats
+from hyperpaint.base import (
+    PANEL_SURFACES,
+    ArrayLike,
+    Floats,
+    Problems,
+    SchemaError,
+    convert,
+    takes_quantities,
+)
 from hyperpaint.io.spectrometers.spectrum_csv import PANEL_DIRECTIONS, read_panel_table
 
 LAMBERTIAN, SINTERED_PTFE = PANEL_SURFACES

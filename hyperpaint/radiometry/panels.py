@@ -22,20 +22,23 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import convert, takes_quantities
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     PANEL,
+    SATURATION_MARGIN_COUNTS,
     VARIABLES,
     Array,
     Bools,
     Floats,
+    Problems,
+    SchemaError,
+    convert,
     label,
     require,
+    takes_quantities,
+    warn_user,
 )
 
 from . import slabs

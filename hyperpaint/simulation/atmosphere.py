@@ -64,26 +64,25 @@ import numpy.typing as npt
 import xarray as xr
 from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInterpolator, interp1d
 
-from hyperpaint.base.errors import (
+from hyperpaint.base import (
+    Fact,
+    Floats,
     FormatError,
     Problems,
     SchemaError,
     UnitsError,
-    needs_extra,
-    warn_user,
-)
-from hyperpaint.base.facts import (
-    Fact,
     check_fields,
     check_values,
     conversion_factor,
     convert,
     declared,
     fact,
+    needs_extra,
     one_of,
+    read_limited,
+    require,
+    warn_user,
 )
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import Floats, require
 from hyperpaint.light.sky_functions import FUNCTIONS, clear_sky_shares, fit_sky
 from hyperpaint.simulation.settings import moment_of
 

@@ -16,11 +16,25 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra, warn_user
-from hyperpaint.base.facts import convert, documented, one_of, takes_quantities
-from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_reflection
-from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE, Floats
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    BODY,
+    EXCLUDED,
+    SIGNATURE,
+    THROUGH_COAT,
+    Floats,
+    Problems,
+    SchemaError,
+    convert,
+    documented,
+    mirror_reflection,
+    needs_extra,
+    one_of,
+    schema,
+    takes_quantities,
+    warn_user,
+)
 from hyperpaint.light.clear_sky import air_mass, radiance_towards_sun, sunward_gain, zenith_radiance
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines

@@ -9,8 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION, Floats, Ints
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    FORMAT_VERSION,
+    Floats,
+    Ints,
+    Problems,
+    SchemaError,
+)
 
 Index = npt.NDArray[np.int32]
 

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import StoreError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Array, Progress
+from hyperpaint.base import ALONG_TRACK, CROSS_TRACK, Array, Progress, StoreError
 
 if TYPE_CHECKING:
     import dask.array as da

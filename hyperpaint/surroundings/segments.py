@@ -11,7 +11,7 @@ import numpy.typing as npt
 import scipy.sparse
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
-from hyperpaint.base.schema import Array, Bools, Floats, Floats32, Ints
+from hyperpaint.base import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.kernels import arguments, segmentation as kernels
 from hyperpaint.kernels.segmentation import (
     boundary_distance,

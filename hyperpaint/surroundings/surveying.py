@@ -18,12 +18,7 @@ import scipy.sparse
 import xarray as xr
 from scipy.ndimage import binary_dilation, find_objects, label
 
-from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, is_number, takes_quantities
-from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.progress_reports import as_progress
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -33,10 +28,19 @@ from hyperpaint.base.schema import (
     Floats,
     Floats32,
     Ints,
+    Problems,
     Progress,
     Quality,
+    SchemaError,
+    as_progress,
+    documented,
     flags_set_from,
+    is_number,
+    schema,
+    takes_quantities,
+    warn_user,
 )
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.kernels import arguments
 from hyperpaint.kernels.segmentation import boundary_distance, nearest_sources
 from hyperpaint.kernels.unmixing import PARTS, average_bands, unmix_lines

@@ -30,8 +30,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, Array, Floats
+from hyperpaint.base import (
+    BAND,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    SIGNATURE,
+    Array,
+    Floats,
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+)
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
 
 #: Line before every curve in the new layout of an ``.ems`` file.

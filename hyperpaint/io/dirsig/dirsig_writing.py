@@ -17,11 +17,30 @@ import jinja2
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, StoreError, warn_user
-from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
-from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Floats, Ints, Variable, require
+from hyperpaint.base import (
+    BAND,
+    EXCLUDED,
+    INCLUDED,
+    LIBRARY_VARIABLES,
+    SIGNATURE,
+    Array,
+    Floats,
+    FormatError,
+    Ints,
+    Problem,
+    Problems,
+    SchemaError,
+    StoreError,
+    Variable,
+    documented,
+    is_number,
+    mirror_reflection,
+    one_of,
+    read_limited,
+    require,
+    takes_quantities,
+    warn_user,
+)
 from hyperpaint.io.files.publishing import published_folder
 
 from .dirsig_files import (

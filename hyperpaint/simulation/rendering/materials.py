@@ -21,9 +21,17 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import check_fields, declared, documented, fact, one_of
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import (
+    Floats,
+    Problems,
+    SchemaError,
+    check_fields,
+    declared,
+    documented,
+    fact,
+    one_of,
+    warn_user,
+)
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 

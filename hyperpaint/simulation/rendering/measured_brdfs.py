@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import Floats, SchemaError
 
 from .materials import (
     ALPHAS,

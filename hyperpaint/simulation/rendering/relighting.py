@@ -35,18 +35,14 @@ import xarray as xr
 from numcodecs.blosc import SHUFFLE, Blosc
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import PaintError, Problems, SchemaError, warn_user
-from hyperpaint.base.facts import convert, takes_quantities
-from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.mirrored_light import INCLUDED, flake_exponents, mirror_reflection, shows_flakes
-from hyperpaint.base.old_names import with_new_names
-from hyperpaint.base.schema import (
+from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
     CUBE,
     FORMAT_VERSION,
+    INCLUDED,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     MEMBER,
@@ -59,10 +55,21 @@ from hyperpaint.base.schema import (
     Floats,
     Floats32,
     Ints,
+    PaintError,
+    Problems,
+    SchemaError,
+    convert,
     dtype_of,
+    flake_exponents,
     label,
+    mirror_reflection,
     require,
+    shows_flakes,
+    takes_quantities,
+    warn_user,
+    with_new_names,
 )
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.light.sky_functions import function_tables
 from hyperpaint.simulation.atmosphere import Atmosphere, BrokenClouds, preset_atmosphere
 from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian

@@ -49,9 +49,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import Floats
+from hyperpaint.base import Floats, SchemaError, one_of
 
 from .materials import (
     Coat,
