@@ -48,7 +48,7 @@ class SunlightTable(NamedTuple):
     Attributes
     ----------
     wavelength
-        300 to 2500, steps of 1 up to 1700, of 5 beyond [nm].
+        300 to 2500, steps of 0.5 up to 400, of 1 up to 1700, of 5 beyond [nm].
     extraterrestrial
         At one astronomical unit [W m-2 nm-1].
     ozone
