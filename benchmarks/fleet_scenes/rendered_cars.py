@@ -57,10 +57,13 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
     """Return a line as it was rendered under a sky; from the cache where it is there."""
     import xarray as xr
 
-    path = cache / f"rendered_{seed}_{sky}.zarr"
+    from hyperpaint.base import NUMERICS_VERSION
+
+    prefix = f"rendered_{NUMERICS_VERSION}_{seed}"
+    path = cache / f"{prefix}_{sky}.zarr"
     if not path.exists():
         for name, line in _rendered(seed).items():
-            store = cache / f"rendered_{seed}_{name}.zarr"
+            store = cache / f"{prefix}_{name}.zarr"
             part = store.with_suffix(".part")
             line.to_zarr(part, mode="w", consolidated=False)
             part.replace(store)
@@ -137,7 +140,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
-    from hyperpaint.simulation.rendering.relighting import factor_spectra, populations_of
+    from hyperpaint.simulation.rendering.relighting import factor_spectra, populations_of, traced_sun
     from hyperpaint.simulation.rendering.scene import SceneRecord
     from hyperpaint.simulation.transport.mixing import member_rows
 
@@ -146,9 +149,14 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     populations = populations_of(record, painted, bands)
     planes = ("along_track", "cross_track")
     east, north, up = (lit[name].values for name in ("east", "north", "up"))
+    # as the renderer draws them: in shade there is no angle to the mirrored sun
+    sun = traced_sun(sky, settings)
+    lit_by = traced[["sun_incidence", "sun_visibility"]].isel(sun=sun)
+    is_sunny = (lit_by["sun_visibility"].values > 0.5) & bool(sky.sun.any())
+    incidence = np.where(is_sunny, lit_by["sun_incidence"].values, np.nan)
     rows = member_rows(
-        lit["material"].values, lit["instance"].values, east, north, up,
-        grain=populations.grain, seed=settings.seed,
+        lit["material"].values, lit["instance"].values, east, north, up, incidence,
+        sun_zenith=settings.suns[sun][0], grain=populations.grain, seed=settings.seed,
     )  # fmt: skip
     line["dust"] = planes, rows
     line["dust_ratio"] = ("row", "band"), np.asarray(populations.ratio)
