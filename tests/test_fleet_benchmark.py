@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import xarray as xr
 
 from benchmarks import fleet
 from benchmarks.fleet_scenes import foreign_cars, rendered_cars
-from benchmarks.fleet_scenes.verdicts import Truth, Verdict, compared
+from benchmarks.fleet_scenes.verdicts import Truth, Verdict, compared, drawn_roofs
 from hyperpaint.regions import Region
+from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import reflectance_factor
 from hyperpaint.simulation.rendering.scene_spectra import fleet_paint, paint_spec, spectrum_of
 
@@ -26,10 +28,12 @@ def library(reflectance: Any, uncertainty: float = 0.01) -> xr.Dataset:
     return xr.Dataset(columns, {"signature": ["one"]})
 
 
-def result(reflectance: Any, finish: str = "solid", stated: str = "unknown", true: Any = RED) -> Any:
+def result(
+    reflectance: Any, finish: str = "solid", stated: str = "unknown", true: Any = RED, u: float = 0.001
+) -> Any:
     region = Region("one", [(0, 0), (0, 4), (4, 4)], properties={"kind": "roof", "finish": stated})
     words = {"paint": "p", "finish": finish, "colour": "coloured"}
-    return compared(library(reflectance), region, Truth(words, np.asarray(true)))
+    return compared(library(reflectance, u), region, Truth(words, np.asarray(true)))
 
 
 @pytest.mark.parametrize(
@@ -57,10 +61,34 @@ def test_flakes_stated_to_be_solid__are_wrong() -> None:
     assert result(RED, finish="metallic", stated="unknown")["result"] == "right"
 
 
-def test_coverage__counts_levels_within_the_interval() -> None:
-    """Expected: 0.01 of standard uncertainty covers an error of the level of 0.0138, and not of 0.0275."""
-    assert result(RED * 1.05)["is_covered"]
-    assert not result(RED * 1.10)["is_covered"]
+def test_interval__decides_where_it_is_wider_than_the_tolerance() -> None:
+    """Expected: a standard uncertainty of 0.01 (7.1 % at 95 %) covers an error of 7 %, and not one of 8 %.
+
+    An interval of more than 10 %, or of 0.004 below 0.03, is wide.
+    """
+    covered, missed = (result(RED * factor, u=0.01) for factor in (1.07, 1.08))
+    assert (covered["result"], covered["is_covered"]) == ("right", True)
+    assert (missed["result"], missed["is_covered"]) == ("wrong", False)
+    assert result(RED, u=0.015)["result"] == "wide"
+    black = np.full(12, 0.02)
+    assert [result(black, true=black, u=u)["result"] for u in (0.002, 0.0021)] == ["right", "wide"]
+
+
+def test_drawn_roofs__lie_inside_the_roof_of_every_whole_car() -> None:
+    instance, up = np.full((40, 60), 0), np.zeros((40, 60))
+    instance[5:35, 10:50], up[5:35, 10:50] = 1, 1.0
+    up[10:30, 20:40] = 1.5
+    planes = ("along_track", "cross_track")
+    values = {"instance": instance, "up": up, "paint_id": instance - 1}
+    line = xr.Dataset({name: (planes, value) for name, value in values.items()})
+    line.attrs = {"seed": 1, "instances": '[{"name": "ground"}, {"name": "car_001"}]'}
+    truth = Truth({"paint": "p", "finish": "pearl", "colour": "white"}, None)
+    (region,) = drawn_roofs(line, lambda *_, **__: truth)
+    assert (region.name, region.properties["finish"]) == ("car_001", "pearl")
+    corners = np.array(region.polygon)
+    np.testing.assert_allclose(corners[:, 0].min(), 22.7, atol=2.0)
+    np.testing.assert_allclose(corners[:, 1].max(), 26.3, atol=2.0)
+    assert len(drawn_roofs(line.drop_vars("up"), lambda *_, **__: truth)) == 0
 
 
 def test_seeds__are_apart_and_scenes_follow_from_them() -> None:
@@ -68,7 +96,10 @@ def test_seeds__are_apart_and_scenes_follow_from_them() -> None:
         assert not set(fleet.TUNE[source]) & set(fleet.JUDGE[source])
     assert rendered_cars.conditions_of(700) == rendered_cars.conditions_of(700)
     assert foreign_cars.conditions_of(750) == foreign_cars.conditions_of(750)
-    zeniths = [rendered_cars.conditions_of(seed).sun_zenith for seed in fleet.JUDGE["hyperpaint"]]
+    conditions = [rendered_cars.conditions_of(seed) for seed in fleet.JUDGE["hyperpaint"]]
+    assert sum(light.fleet == "black" for light in conditions) == 6
+    assert len({light.cloud_size for light in conditions if "broken" in light.skies}) > 1
+    zeniths = [light.sun_zenith for light in conditions]
     assert min(zeniths) < 20.0
     assert max(zeniths) > 70.0
 
@@ -117,3 +148,20 @@ def test_truth_of_flakes__is_that_of_the_paint_under_one_light(finish: str) -> N
         spec.material(), body, metal, light=40.0, view=10.0, azimuth=170.0, turned=turned
     )
     np.testing.assert_allclose(factors[0], expected, rtol=2e-3)
+
+
+def test_leaning_cars__turn_about_their_place() -> None:
+    """Expected: on ground that falls to the east by 1 degree, the roofs of cars face east by 1 degree."""
+    park = car_park(length=10.0, width=16.0, neighbours=(), panels=False, seed=2)
+    steady = SimpleNamespace(normal=lambda *_: np.zeros(3))
+    turned_park = rendered_cars.leaning(park, (1.0, 90.0), steady)
+    cars = [number for number, thing in enumerate(park.instances) if thing.kind == "car"]
+    for number in cars:
+        rows = np.unique(park.faces[park.face_instance == number])
+        turned = turned_park.vertices[rows] - park.vertices[rows]
+        level = park.vertices[rows]
+        np.testing.assert_allclose(turned[:, 1], 0.0, atol=1e-12)
+        slope = np.polyfit(level[:, 0], turned[:, 2], 1)[0]
+        np.testing.assert_allclose(slope, -np.sin(np.radians(1.0)), rtol=1e-3)
+    ground = np.unique(park.faces[~np.isin(park.face_instance, cars)])
+    np.testing.assert_array_equal(turned_park.vertices[ground], park.vertices[ground])

@@ -2,7 +2,8 @@
 
 A scene is 13 m of two rows of cars back to back, seen from 15 m with 3.5 to 5 cm and 60 bands, and is traced
 once. Everything about it follows from its seed (`conditions_of`): the sun, 15 to 60 degrees from the zenith
-and 66 to 76 in every fourth scene, and the second of its skies.
+and 66 to 76 in every fourth scene, the second of its skies, the size of broken clouds, and whether its cars
+are black, as in every fifth scene. Cars lean: the ground falls by 1 to 1.5 %, and each car stands unevenly.
 """
 
 from __future__ import annotations
@@ -24,8 +25,14 @@ STATION_M = (25.0, 0.0)
 """East and north of the spectrometer that records the irradiance."""
 _KEPT = (
     "radiance", "irradiance", "irradiance_fwhm", "irradiance_max_gap", "irradiance_clock_uncertainty",
-    "instance", "paint_id", "shadow",
+    "instance", "paint_id", "shadow", "up",
 )  # fmt: skip
+DRAINAGE_PERCENT = (1.0, 1.5)
+"""Fall of a car park towards its drains."""
+STANCE_DEG = 0.3
+"""Standard deviation of the lean of a car against its ground, along and across it [degree]."""
+FREE_S = 2.5
+"""The sun counts as free where it was so for this time before and after the line [s]."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,9 @@ class Conditions:
     gsd: float  #: [m]
     aerosol: float  #: Optical depth of the hazy sky [1].
     skies: tuple[str, ...]  #: Two of `SKIES`.
+    fleet: str  #: "real", or "black": only black cars.
+    cloud_size: float  #: Correlation length of broken clouds [m].
+    fall: tuple[float, float]  #: Slope of the ground, and the azimuth towards which it falls [degree].
 
 
 def conditions_of(seed: int) -> Conditions:
@@ -45,7 +55,17 @@ def conditions_of(seed: int) -> Conditions:
     even = (seed * 0.6180339887) % 1.0
     zenith = 66.0 + 10.0 * even if seed % 4 == 3 else 15.0 + 45.0 * even
     gsd, azimuth, aerosol = rng.uniform(0.035, 0.05), rng.uniform(90.0, 270.0), rng.uniform(0.3, 0.4)
-    return Conditions(zenith, float(azimuth), float(gsd), float(aerosol), ("clear", SKIES[1 + seed % 3]))
+    slope = np.degrees(np.arctan(rng.uniform(*DRAINAGE_PERCENT) / 100.0))
+    return Conditions(
+        zenith,
+        float(azimuth),
+        float(gsd),
+        float(aerosol),
+        ("clear", SKIES[1 + seed % 3]),
+        "black" if seed % 5 == 4 else "real",
+        float(rng.choice([30.0, 120.0, 400.0])),
+        (float(slope), float(rng.uniform(0.0, 360.0))),
+    )
 
 
 def skies_of(seed: int) -> tuple[str, ...]:
@@ -76,14 +96,18 @@ def _rendered(seed: int) -> dict[str, Any]:
     from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.platforms import pushbroom
+    from hyperpaint.simulation.rendering.scene_spectra import fleet_paint
 
     light = conditions_of(seed)
     lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)
     around = ("walls", "trees") if seed % 2 else ("walls",)
+    first = 1000 * seed
+    black = [f"fleet-{car}" for car in range(first, first + 400) if fleet_paint(car).colour == "black"]
     park = car_park(
         length=LENGTH_M + 6.0, width=32.0, seed=seed, neighbours=around, margin=10.0, fleet="real",
-        islands=False, occupancy=0.95,
+        islands=False, occupancy=0.95, paints=black if light.fleet == "black" else None,
     )  # fmt: skip
+    park = leaning(park, light.fall, np.random.default_rng([seed, 11]))
     flight = pushbroom(
         lines, columns, ground_sample=light.gsd, line_spacing=light.gsd, start=(-0.1, 3.0), wobble=0.1,
         altitude=ALTITUDE_M, seed=seed,
@@ -104,7 +128,7 @@ def _rendered(seed: int) -> dict[str, Any]:
         sky = atmospheres[name]
         clouds = None
         if name == "broken":
-            clouds = BrokenClouds(cover=0.4, size=120.0, opacity=0.7, station=STATION_M, seed=seed)
+            clouds = BrokenClouds(cover=0.4, size=light.cloud_size, opacity=0.7, station=STATION_M, seed=seed)
         line = hp.simulation.relight(traced, bands, atmosphere=sky, variation=clouds)
         whole = [
             hp.simulation.relight(traced, bands, atmosphere=dark)["irradiance"].values[0]
@@ -113,7 +137,38 @@ def _rendered(seed: int) -> dict[str, Any]:
         seen = _with_record(line[list(_KEPT)].compute(), np.stack(whole), clouds)
         rendered[name] = _with_truth(seen, line, traced, sky, clouds, bands)
         rendered[name].attrs |= {"seed": seed, "sky": name, "source": "hyperpaint", **vars(light)}
+        rendered[name].attrs["sun_is_free"] = int(_is_free(line, clouds))
     return rendered
+
+
+def leaning(park: Any, fall: tuple[float, float], rng: Any) -> Any:
+    """Return a car park whose cars lean with the fall of the ground, and each by itself, about its place."""
+    from scipy.spatial.transform import Rotation
+
+    slope, towards = np.radians(fall)
+    vertices, normals = park.vertices.copy(), park.normals.copy()
+    for number, instance in enumerate(park.instances):
+        if instance.kind != "car":
+            continue
+        # a plane that falls towards an azimuth is turned about the horizontal axis to the right of it
+        axis = slope * np.array([np.cos(towards), -np.sin(towards), 0.0])
+        axis += np.radians(rng.normal(0.0, STANCE_DEG, 3)) * (1.0, 1.0, 0.0)
+        turn = Rotation.from_rotvec(-axis)
+        rows = np.unique(park.faces[park.face_instance == number])
+        place = np.append(vertices[rows, :2].mean(axis=0), 0.0)
+        vertices[rows] = turn.apply(vertices[rows] - place) + place
+        normals[rows] = turn.apply(normals[rows])
+    return replace(park, vertices=vertices, normals=normals)
+
+
+def _is_free(line: Any, clouds: Any) -> bool:
+    """Return whether the sun over the scene and over the record is free of clouds, also seconds around."""
+    if clouds is None:
+        return True
+    seconds = (line["time"].values[[0, -1]] - line["time"].values[0]) / np.timedelta64(1, "s")
+    around = np.linspace(seconds[0] - FREE_S, seconds[1] + FREE_S, 101)
+    places = ((0.0, 0.0), (0.0, LENGTH_M), STATION_M)
+    return bool(min(clouds.factors(*place, around)[0].min() for place in places) > 0.98)
 
 
 def _with_record(line: Any, parts: Any, clouds: Any) -> Any:

@@ -1,4 +1,4 @@
-"""From a line with its truth to the product's signatures, and from these to right, wrong or refused."""
+"""From a line with its truth to the product's signatures: right, wide, wrong or refused."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ MAX_SHAPE, MAX_RELATIVE_SHAPE, DARK_SHAPE, DARK = 0.01, 0.05, 0.004, 0.1
 """Root mean square of what is left of a spectrum after one factor, at most: the larger of 0.01 and 5 % of its
 level [1]; of paint darker than 0.1, the larger of 0.004 and 5 %, since 0.01 would be no limit there."""
 MAX_LEVEL, MAX_RELATIVE_LEVEL = 0.004, 0.06
-"""Error of the mean over the bands, at most: the larger of both [1]."""
+"""Error of the mean over the bands, at most: the larger of both, or the stated 95 % interval [1]."""
+MAX_HALF_WIDTH, DARK_HALF_WIDTH, DARK_LEVEL = 0.10, 0.004, 0.03
+"""Half width of the stated 95 % interval, at most: relative, and in reflectance below `DARK_LEVEL` [1]."""
 NORMAL_95 = 1.96
+ROOF_DROP_M = 0.10
+"""Height below the highest paint of a car within which its paint is roof [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class Verdict:
     paint: str
     finish: str  #: True: "solid", "metallic", "pearl"; "none" where it is no paint.
     colour: str
-    result: str  #: "right", "wrong", "refused".
+    result: str  #: "right"; "wide": right, with a wider interval than is of use; "wrong"; "refused".
     told: str = ""  #: Why it was refused, or what is wrong.
     stated_finish: str = ""
     kind: str = ""
@@ -38,7 +42,11 @@ class Verdict:
     level: float = np.nan  #: Signature over truth [1].
     true_level: float = np.nan  #: [1]
     is_covered: bool | None = None  #: Whether the level lies in the stated 95 % interval; None without one.
+    half_width: float = np.nan  #: Of that interval, relative to the signature's level [1].
     name: str = ""  #: Of the region.
+    by_hand: bool = False  #: Whether a person drew the region.
+    fleet: str = "real"  #: "real", or "black": a scene of black cars only.
+    sun_is_free: bool = True  #: Of broken clouds: whether the sun was free for seconds around the line.
 
 
 def looked_at(line: Any) -> tuple[Any, Any, Any]:
@@ -120,34 +128,60 @@ def whole_cars(line: Any, names: Sequence[str]) -> list[int]:
     return [int(one) for one in np.setdiff1d(instance, cut) if one >= 0 and names[one].startswith("car_")]
 
 
+def drawn_roofs(line: Any, truth_of: Any) -> Any:
+    """Return regions as a person draws them: a quadrilateral over the roof of every whole car.
+
+    The corners are those of the roof's rectangle, drawn in by an eighth of its sides and off by a pixel or
+    so; the person knows the finish of the car, and not where its roof is level. None are drawn where a line
+    has no heights ``up`` [m].
+    """
+    from hyperpaint.regions import Region, Regions
+
+    rng = np.random.default_rng([line.attrs["seed"], 13])
+    names = [thing["name"] for thing in json.loads(line.attrs["instances"])]
+    drawn = []
+    for car in whole_cars(line, names) if "up" in line else ():
+        up = np.where((line["instance"].values == car) & (line["paint_id"].values >= 0), line["up"], -np.inf)
+        roof = np.nonzero(up > up.max() - ROOF_DROP_M)
+        # cars stand across the flight: the roof is drawn along the axes of the picture
+        (top, bottom), (left, right) = (np.quantile(at, (0.14, 0.86)) for at in roof)
+        corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+        corners += rng.normal(0.0, 0.7, corners.shape)
+        words = truth_of(line, *roof, spectrum=False).words
+        if words["finish"] != "none":
+            properties = {"kind": "roof", "finish": words["finish"]}
+            drawn.append(Region(names[car], corners.tolist(), properties=properties))
+    return Regions(tuple(drawn))
+
+
 def judged(line: Any, truth_of: Any, scene: Any = None) -> list[Verdict]:
-    """Return a verdict on every whole car, and on every region elsewhere.
+    """Return a verdict on every whole car, on every region elsewhere, and on every region drawn by hand.
 
     ``truth_of`` takes a line and pixels (along, across), and returns the `Truth` of what most of them show,
-    with ``spectrum=False`` in words only;
-    ``scene`` is what `looked_at` returns, made where it is not given.
+    with ``spectrum=False`` in words only; ``scene`` is what `looked_at` returns, made where it is not given.
     """
     import hyperpaint as hp
     from hyperpaint.regions import pixels_of
 
     seen, model, flagged = scene or looked_at(line)
     proposals = hp.regions.propose_regions(seen, model)
-    library = extracted(flagged, proposals) if len(proposals) else None
     names = [one["name"] for one in json.loads(line.attrs["instances"])]
     instance = line["instance"].values
     whole = whole_cars(line, names)
     case = {
         "source": line.attrs["source"], "seed": int(line.attrs["seed"]), "sky": line.attrs["sky"],
-        "sun_zenith": float(line.attrs["sun_zenith"]),
+        "sun_zenith": float(line.attrs["sun_zenith"]), "fleet": line.attrs.get("fleet", "real"),
+        "sun_is_free": bool(line.attrs.get("sun_is_free", 1)),
     }  # fmt: skip
     verdicts: list[Verdict] = []
-    for region, (along, across) in zip(proposals, pixels_of(proposals, line), strict=True):
-        at = int(np.bincount(instance[along, across]).argmax())
-        truth = truth_of(line, along, across)
-        outcome = compared(library, region, truth)
-        car = names[at] if at in whole else ""
-        verdicts.append(Verdict(**case, car=car, name=region.name, **outcome))
-    proposed = {one.car for one in verdicts}
+    for regions, by_hand in ((proposals, False), (drawn_roofs(line, truth_of), True)):
+        library = extracted(flagged, regions) if len(regions) else None
+        for region, (along, across) in zip(regions, pixels_of(regions, line), strict=True):
+            at = int(np.bincount(instance[along, across]).argmax())
+            outcome = compared(library, region, truth_of(line, along, across))
+            car = names[at] if at in whole else ""
+            verdicts.append(Verdict(**case, car=car, name=region.name, by_hand=by_hand, **outcome))
+    proposed = {one.car for one in verdicts if not one.by_hand}
     refusals: dict[str, list[str]] = {}
     for region, (along, across) in zip(proposals.refused, pixels_of(proposals.refused, line), strict=True):
         at = int(np.bincount(instance[along, across]).argmax())
@@ -193,15 +227,18 @@ def compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     faults = []
     if shape > most:
         faults.append(f"shape off by {shape:.4f}, {most:.4f} allowed")
-    if off > max(MAX_LEVEL, MAX_RELATIVE_LEVEL * level):
-        faults.append(f"level {seen.mean():.4f}, true {level:.4f}")
+    width = _level_sd(signature, region)
+    half_width = np.nan if width is None else NORMAL_95 * width
+    if off > max(MAX_LEVEL, MAX_RELATIVE_LEVEL * level, 0.0 if width is None else half_width):
+        faults.append(f"level {seen.mean():.4f}, true {level:.4f}, stated to {half_width:.4f}")
     if stated == "solid" and truth.words["finish"] != "solid":
         faults.append(f"stated solid, and {truth.words['finish']}")
-    width = _level_sd(signature, region)
-    covered = None if width is None else bool(off <= NORMAL_95 * width)
+    most = max(MAX_HALF_WIDTH * float(seen.mean()), DARK_HALF_WIDTH if level < DARK_LEVEL else 0.0)
+    result = "wrong" if faults else "right" if half_width <= most else "wide"
     return row | {
-        "result": "wrong" if faults else "right", "told": "; ".join(faults), "shape": shape,
-        "level": float(seen.mean()) / level, "true_level": level, "is_covered": covered,
+        "result": result, "told": "; ".join(faults), "shape": shape, "level": float(seen.mean()) / level,
+        "true_level": level, "is_covered": None if width is None else bool(off <= half_width),
+        "half_width": half_width / float(seen.mean()),
     }  # fmt: skip
 
 
