@@ -6,7 +6,7 @@ Columns, marks and words of each format stand in tables above its reader.
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,17 @@ from hyperpaint.io.files.reading import number, numbers, read_limited_text, refu
 MAX_SKY_BYTES = 64 << 20
 
 _IRRADIANCE, _RADIANCE = "W m-2 nm-1", "W m-2 sr-1 nm-1"
+
+#: Columns of a CSV table and their units; those that every table has, of the air before the camera, and of
+#: radiance by direction.
+_LIGHT = {"wavelength": "nm", "direct_normal": _IRRADIANCE, "diffuse": _IRRADIANCE}
+_AIR = {"extinction": "m-1", "path_radiance": f"{_RADIANCE} m-1"}
+#: Variables of light at the ground that depend on wavelength alone, and their units.
+TABLE_UNITS = _LIGHT | _AIR
+_RADIANCES = {"zenith": "degree", "azimuth": "degree", "radiance": _RADIANCE}
+_COLUMNS = TABLE_UNITS | _RADIANCES
+_OTHER_NAMES = {"sun": "direct_normal", "sky": "diffuse"}
+_HEADING = re.compile(r"\s*(\w{1,40})\s*[\[(]([^\[\]()]{1,80})[\])]\s*")
 
 
 def sky_lines(path: str | Path) -> list[str]:
@@ -52,6 +63,7 @@ def sky_dataset(
     direct_normal: Floats,
     diffuse: Floats,
     radiance: tuple[Floats, Floats, Floats] | None = None,
+    air: Mapping[str, Floats] | None = None,
 ) -> xr.Dataset:
     """Return light at the ground as a Dataset, in order of wavelength.
 
@@ -66,6 +78,9 @@ def sky_dataset(
     radiance
         Zenith angles (sky_zenith,) and azimuths from the sun (sky_azimuth,) [degree], and the radiance of the
         sky (wavelength, sky_zenith, sky_azimuth) [W m-2 sr-1 nm-1].
+    air
+        ``extinction`` [m-1] and ``path_radiance`` [W m-2 sr-1 nm-1 m-1] of the air before the camera
+        (wavelength,), both or neither.
 
     Raises
     ------
@@ -80,7 +95,8 @@ def sky_dataset(
     """
     problems = Problems(f"{source}: light at the ground cannot be used", FormatError)
     order = np.argsort(wavelength, kind="stable")
-    arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
+    spectra = {"direct_normal": direct_normal, "diffuse": diffuse, **(air or {})}
+    arrays = dict(spectra)
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
     problems.raise_if_any(
@@ -109,7 +125,7 @@ def sky_dataset(
         ),
     )
     light = xr.Dataset(
-        {name: ("wavelength", arrays[name][order], {"units": _IRRADIANCE}) for name in list(arrays)[:2]},
+        {name: ("wavelength", values[order], {"units": _COLUMNS[name]}) for name, values in spectra.items()},
         {"wavelength": ("wavelength", wavelength[order], {"units": "nm"})},
         {"source": source},
     )
@@ -123,18 +139,6 @@ def sky_dataset(
     return light
 
 
-#: Columns of a CSV table and their units; those without directions, and those of a radiance.
-_COLUMNS = {
-    "wavelength": "nm",
-    "direct_normal": _IRRADIANCE,
-    "diffuse": _IRRADIANCE,
-    "zenith": "degree",
-    "azimuth": "degree",
-    "radiance": _RADIANCE,
-}
-_PLAIN_COLUMNS = 3
-
-
 def read_sky_csv(path: str | Path) -> xr.Dataset:
     """Return light at the ground from a CSV table, one row per wavelength and direction.
 
@@ -142,14 +146,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     ----------
     path
         The first row that is not a comment (``#``) has headings with units: ``wavelength [nm]``,
-        ``direct_normal [W m-2 nm-1]``, ``diffuse [W m-2 nm-1]`` and, for radiance by direction, ``zenith
-        [degree]``, ``azimuth [degree]`` from the sun and ``radiance [W m-2 sr-1 nm-1]``; other units of the
-        same dimension are converted.
+        ``direct_normal [W m-2 nm-1]`` or ``sun``, ``diffuse [W m-2 nm-1]`` or ``sky``; for radiance by
+        direction ``zenith [degree]``, ``azimuth [degree]`` from the sun and ``radiance [W m-2 sr-1 nm-1]``;
+        and for the air before the camera ``extinction [m-1]`` and ``path_radiance [W m-2 sr-1 nm-1 m-1]``.
+        Other units of the same dimension are converted.
 
     Raises
     ------
     FormatError
-        Headings are missing, cells are not numbers, or directions differ between wavelengths.
+        Headings are missing or unknown, cells are not numbers, or directions differ between wavelengths.
+    UnitsError
+        The units of a heading have another dimension.
 
     Examples
     --------
@@ -163,13 +170,15 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     >>> light.wavelength.values, light.diffuse.values
     (array([450., 850.]), array([0.3 , 0.05]))
     """
-    lines = (line for line in sky_lines(path) if line.strip() and not line.startswith("#"))
+    lines = [line for line in sky_lines(path) if line.strip() and not line.lstrip().startswith("#")]
     with FormatError.instead_of(csv.Error, f"{path}: not a CSV table: $whole", code="text-unreadable"):
         rows = list(csv.reader(lines))
     problems = Problems(f"{path}: not a table of a sky", FormatError)
-    names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
-    has_directions = "radiance" in names
-    missing = sorted(set(list(_COLUMNS)[: None if has_directions else _PLAIN_COLUMNS]) - set(names))
+    headings = [_HEADING.fullmatch(cell.lstrip("\ufeff")) for cell in rows[0]] if rows else []
+    names = [_OTHER_NAMES.get(found[1].lower(), found[1].lower()) if found else "" for found in headings]
+    unreadable = [cell for cell, name in zip(rows[0] if rows else [], names, strict=True) if not name]
+    groups = [_LIGHT, *(group for group in (_AIR, _RADIANCES) if set(group) & set(names))]
+    missing = sorted(set().union(*groups) - set(names))
     ragged_rows = [number for number, row in enumerate(rows) if len(row) != len(names)]
     found = (
         f"row {ragged_rows[0] + 1} of {len(rows[ragged_rows[0]])} cells"
@@ -177,9 +186,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         else "no row below the headings"
     )
     problems.raise_if_any(
-        (missing, Problem(f"columns {missing} are missing, found {names}", code="column-missing")),
         (
-            len(set(names)) < len(names),
+            unreadable or not set(filter(None, names)) <= set(_COLUMNS),
+            Problem(
+                f"headings {rows[:1]}"[:200],
+                expected=f"names among {', '.join(_COLUMNS)} with units, such as 'wavelength [nm]'",
+                code="heading-unreadable",
+            ),
+        ),
+        (missing, Problem(f"columns {missing} are missing, found {names}"[:200], code="column-missing")),
+        (
+            len(set(names)) < len(names) and not unreadable,
             Problem(f"columns {names}: some are repeated", code="column-repeated"),
         ),
         (
@@ -187,17 +204,21 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
             Problem(found, expected=f"rows of {len(names)}", code="length-mismatch"),
         ),
     )
-    with FormatError.instead_of(
-        (ValueError, KeyError),
-        f"{path}: $whole",
-        expected=f"rows of numbers below headings among {list(_COLUMNS)}",
-        code="number-unreadable",
-    ):
-        table = np.array(rows[1:], np.float64)
-        factors = [
-            conversion_factor(cell.partition("[")[2].rstrip("] "), _COLUMNS[name])
-            for cell, name in zip(rows[0], names, strict=True)
-        ]
+    values = [numbers(row) for row in rows[1:]]
+    unread = next((number for number, row in enumerate(values, start=2) if row is None), 0)
+    refuse(
+        str(path),
+        (
+            unread,
+            Problem(f"row {unread}: {rows[unread - 1]}"[:200], expected="numbers", code="number-unreadable"),
+        ),
+    )
+    table = np.array(values, np.float64)
+    factors = [
+        conversion_factor(heading[2].strip(), _COLUMNS[name])
+        for heading, name in zip(headings, names, strict=True)
+        if heading
+    ]
     with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
     wrong_rows = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -210,8 +231,10 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         ),
     )
     columns = dict(zip(names, table.T, strict=True))
-    if not has_directions:
-        return sky_dataset(str(path), *(columns[name] for name in list(_COLUMNS)[:_PLAIN_COLUMNS]))
+    air = {name: columns[name] for name in _AIR if name in columns}
+    if "radiance" not in columns:
+        nm, direct_normal, diffuse = (columns[name] for name in _LIGHT)
+        return sky_dataset(str(path), nm, direct_normal, diffuse, air=air)
     axes = ("wavelength", "zenith", "azimuth")
     wavelength, first_rows = np.unique(columns["wavelength"], return_index=True)
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
@@ -239,6 +262,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         columns["direct_normal"][first_rows],
         columns["diffuse"][first_rows],
         (zenith, azimuth, columns["radiance"][order].reshape(shape)),
+        {name: values[first_rows] for name, values in air.items()},
     )
 
 

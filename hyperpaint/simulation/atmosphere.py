@@ -52,12 +52,11 @@ from __future__ import annotations
 
 import functools
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -67,22 +66,19 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInter
 from hyperpaint.base import (
     Fact,
     Floats,
-    FormatError,
     Problems,
     SchemaError,
-    UnitsError,
     check_fields,
     check_values,
-    conversion_factor,
     convert,
     declared,
     fact,
-    needs_extra,
     one_of,
-    read_limited,
     require,
+    warn_if,
     warn_user,
 )
+from hyperpaint.io.skies import TABLE_UNITS, read_sky_csv
 from hyperpaint.light.sky_functions import FUNCTIONS, clear_sky_shares, fit_sky
 from hyperpaint.simulation.settings import moment_of
 
@@ -753,15 +749,8 @@ _NUMBERS = {
     for name in ("sun_zenith", "sun_azimuth", "overcast_share")
 }
 _RANGE_NM = (340.0, 1100.0)  # wavelengths of the built-in sky
-_MAX_BYTES = 16 * 2**20
-_MAX_LINES = 200_000
-_MAX_PROBLEMS = 10
 _MAX_RESIDUAL = 0.25  # relative root mean square, reached by aerosol or thin cloud
 _NOISE = 0.01  # maximum negative noise relative to the maximum irradiance
-_HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
-#: Columns of a table, and their units in `Atmosphere`.
-_COLUMNS = {"wavelength": "nm"} | {name: units for name, (units, _) in _CURVES.items()}
-_REQUIRED = ("wavelength", "sun", "sky")
 
 
 @dataclass(frozen=True, eq=False)
@@ -903,66 +892,6 @@ class Atmosphere:
         return cls(grid, sun, sky, extinction, path, haze=haze, **shares, **options)
 
     @classmethod
-    def spectrl2(
-        cls,
-        sun_zenith: float = 25.0,
-        sun_azimuth: float = 180.0,
-        *,
-        aerosol: float = 0.10,
-        ozone: float = 0.31,
-        precipitable_water: float = 1.5,
-        ground: float = 0.15,
-        pressure: float = 101325.0,
-        dayofyear: int = 172,
-        haze: Haze | None = HAZE,
-        wavelength: npt.ArrayLike | None = None,
-        name: str = "spectrl2",
-    ) -> Atmosphere:
-        # Return the clear sky of SPECTRL2 (Bird & Riordan 1986), by pvlib.
-        #
-        # Its steps of 5 nm around the oxygen A band and 10 to 20 nm elsewhere are interpolated linearly, so
-        # that bands of oxygen and water are shallower and wider than in nature.
-        #
-        # ``sun_zenith``, ``sun_azimuth``, ``aerosol``, ``ozone``, ``haze``, ``name``: See `clear`; inaccurate
-        # for zenith angles beyond 85 degrees. ``precipitable_water``: Water column [cm]. ``ground``:
-        # Reflectance of the surroundings, which brightens the sky. ``pressure``: Air pressure at the ground
-        # [Pa]. ``dayofyear``: Day of the year, for the distance of the sun. ``wavelength``: Grid, shape
-        # (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
-        #
-        # Raises `MissingExtraError`: pvlib is not installed. Raises `SchemaError`: The sun is not above the
-        # horizon, or the grid exceeds 300 to 4000 nm.
-        grid = (
-            spectral_grid(*_RANGE_NM, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
-        )
-        check_wavelengths(grid)
-        check_sky(sun_zenith=sun_zenith, aerosol=aerosol)
-        with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
-            from pvlib.spectrum import spectrl2
-        table = spectrl2(
-            apparent_zenith=sun_zenith,
-            aoi=sun_zenith,
-            surface_tilt=0.0,
-            relative_airmass=relative_air_mass(sun_zenith),
-            ground_albedo=ground,
-            surface_pressure=pressure,
-            dayofyear=dayofyear,
-            aerosol_turbidity_500nm=aerosol,
-            ozone=ozone,
-            precipitable_water=precipitable_water,
-        )
-        coarse = np.asarray(table["wavelength"], dtype=np.float64)
-        SchemaError.raise_if(
-            not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]),
-            f"wavelength goes from {grid[0]:g} to {grid[-1]:g} nm",
-            expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
-            code="value-out-of-range",
-        )
-        sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-        return cls._with_haze(
-            grid, sun, sky, haze, aerosol=aerosol, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
-        )
-
-    @classmethod
     def from_irradiance(
         cls,
         series: xr.Dataset,
@@ -1065,7 +994,7 @@ class Atmosphere:
     @classmethod
     def from_table(
         cls,
-        table: str | Path | Mapping[str, npt.ArrayLike],
+        table: str | Path | xr.Dataset,
         *,
         sun_zenith: float,
         sun_azimuth: float = 180.0,
@@ -1075,50 +1004,45 @@ class Atmosphere:
     ) -> Atmosphere:
         # Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
         #
-        # ``table``: A text file of comma-separated columns with comments after ``#``, or a mapping of
-        # columns. Headings are a name and units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to the
-        # beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither, ``extinction [m-1]`` and
-        # ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension. Or a Dataset from a reader
-        # of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted (`hyperpaint.light.fit_sky`).
+        # ``table``: A CSV file, see `hyperpaint.io.read_sky_csv`, or a Dataset from this or another reader of
+        # `hyperpaint.io.skies`. ``sky_radiance``, if any, is fitted (`hyperpaint.light.fit_sky`).
         # ``sun_zenith``, ``sun_azimuth``, ``overcast_share``: See `Atmosphere`. ``haze``: The air before the
         # camera, if the table does not have it; None for no air. ``name``: Name of the atmosphere; by default
         # the name of the file.
         #
         # Raises `FormatError`: The table has another form; all problems are listed. Raises `SchemaError`: The
         # sun is not above the horizon.
-        fitted = None
-        if isinstance(table, Mapping) and "direct_normal" in table:
-            sky_table = cast("xr.Dataset", table)
-            variables = {"wavelength": "wavelength", "sun": "direct_normal", "sky": "diffuse"}
-            curves = {
-                name: np.asarray(
-                    convert(sky_table[variable].reset_coords(drop=True), _COLUMNS[name]).values, np.float64
-                )
-                for name, variable in variables.items()
-            }
-            if "sky_radiance" in sky_table:
-                fit = fit_sky(sky_table, sun_zenith)
-                fitted = {"clear_shares": fit["share"].transpose("function", ...).values[1:]}
-                if (max_residual := float(fit["misfit"].max())) > _MAX_RESIDUAL:
-                    source = sky_table.attrs.get("source", "the table")
-                    warn_user(
-                        f"clear-sky functions fit the radiance of {source} with a residual of "
-                        f"{max_residual:.0%}",
-                        "sky-fit-poor",
-                    )
-        else:
-            curves = read_table(table)
-        if name is None:
-            name = "table" if isinstance(table, Mapping) else Path(table).stem
-        options: dict[str, Any] = {
-            "sun_zenith": sun_zenith,
-            "sun_azimuth": sun_azimuth,
-            "overcast_share": overcast_share,
+        light = table if isinstance(table, xr.Dataset) else read_sky_csv(table)
+        curves = {
+            name: np.asarray(convert(light[name].reset_coords(drop=True), units).values, np.float64)
+            for name, units in TABLE_UNITS.items()
+            if name in light.variables
         }
-        air = [curves[name] for name in ("extinction", "path_radiance") if name in curves]
-        grid, sun, sky = curves["wavelength"], curves["sun"], curves["sky"]
-        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread=fitted, **options, name=name)
-        return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
+        fitted = None
+        if "sky_radiance" in light:
+            fit = fit_sky(light, sun_zenith)
+            fitted = {"clear_shares": fit["share"].transpose("function", ...).values[1:]}
+            warn_if(
+                (residual := float(fit["misfit"].max())) > _MAX_RESIDUAL,
+                f"clear-sky functions fit the radiance of {light.attrs.get('source', 'the table')} with a "
+                f"residual of {residual:.0%}",
+                "sky-fit-poor",
+            )
+        if name is None:
+            name = "table" if isinstance(table, xr.Dataset) else Path(table).stem
+        grid, sun, sky, *air = curves.values()
+        atmosphere = cls._with_haze(
+            grid,
+            sun,
+            sky,
+            None if air else haze,
+            spread=fitted,
+            sun_zenith=sun_zenith,
+            sun_azimuth=sun_azimuth,
+            overcast_share=overcast_share,
+            name=name,
+        )
+        return replace(atmosphere, extinction=air[0], path_radiance=air[1]) if air else atmosphere
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
         """Return this clear atmosphere under clouds; `hyperpaint.simulation.atmosphere` has the model.
@@ -1221,115 +1145,6 @@ class Atmosphere:
             ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, shares)
-
-
-def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    # curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`
-    if isinstance(table, Mapping):
-        problems = Problems("the table of an atmosphere cannot be used", FormatError)
-        headings, arrays = list(table), []
-        for heading, column in table.items():
-            try:
-                arrays.append(np.asarray(column, dtype=np.float64))
-            except (ValueError, TypeError):
-                problems.add(f"column {heading!r} does not hold numbers", code="number-unreadable")
-        shapes = sorted({array.shape for array in arrays})
-        problems.add_if(
-            not problems and (len(shapes) != 1 or len(shapes[0]) != 1),
-            f"columns have shapes {shapes}",
-            expected="one dim and the same length",
-            code="length-mismatch",
-        )
-        problems.raise_if_any()
-        rows = np.stack(arrays, axis=1)
-    else:
-        problems = Problems(f"{Path(table).name}: not the table of an atmosphere", FormatError)
-        headings, rows = _read_rows(Path(table), problems)
-    problems.raise_if_any()
-    # column of every curve, and the factor to the units of `Atmosphere`
-    factors: dict[str, tuple[int, float]] = {}
-    for column, heading in enumerate(headings):
-        match = _HEADING.fullmatch(str(heading).strip())
-        name, units = (match[1].lower(), match[2].strip()) if match else ("", "")
-        if match is None:
-            problems.add(
-                f"heading {str(heading)[:60]!r}",
-                expected="a name and units such as 'sun [W m-2 nm-1]'",
-                code="heading-unreadable",
-            )
-        elif name not in _COLUMNS:
-            problems.add(
-                f"column {name!r} is unknown",
-                expected=f"some of {', '.join(_COLUMNS)}",
-                code="column-unknown",
-            )
-        elif name in factors:
-            problems.add(f"column {name!r} appears twice", code="column-duplicate")
-        else:
-            try:
-                factors[name] = (column, conversion_factor(units, _COLUMNS[name]))
-            except UnitsError as error:
-                problems.add_error(f"column {name!r}", error)
-    absent = [name for name in _REQUIRED if name not in factors]
-    problems.add_if(
-        absent and not problems,
-        f"column {' and '.join(absent)} is missing",
-        expected=", ".join(_REQUIRED),
-        code="column-missing",
-    )
-    problems.add_if(
-        ("extinction" in factors) != ("path_radiance" in factors),
-        "only one of extinction and path_radiance is present",
-        mend="add the other, or remove it",
-        code="column-missing",
-    )
-    problems.raise_if_any()
-    curves = {name: rows[:, column] * factor for name, (column, factor) in factors.items()}
-    check_curves(problems, curves)
-    problems.raise_if_any()
-    return curves
-
-
-def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
-    # headings and numbers (row, column) of a text file
-    content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
-    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
-        problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
-        problems.raise_if_any()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        problems.add(f"it is not UTF-8 text (byte {error.start})", code="text-unreadable")
-        problems.raise_if_any()
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not lines:
-        problems.add(
-            "it is empty",
-            expected="headings such as 'wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]'",
-            code="empty-input",
-        )
-        problems.raise_if_any()
-    headings = [heading.strip() for heading in lines[0][1].split(",")]
-    rows = []
-    for number, line in lines[1:]:
-        cells = line.split(",")
-        try:
-            if len(cells) != len(headings) or "_" in line:  # Python reads 1_0 as 10
-                raise ValueError
-            rows.append([float(cell) for cell in cells])
-        except ValueError:
-            problems.add(
-                f"line {number}: {line[:60]!r}",
-                expected=f"{len(headings)} numbers",
-                code="number-unreadable",
-            )
-            if len(problems) == _MAX_PROBLEMS:
-                break
-    return headings, np.array(rows, dtype=np.float64).reshape(len(rows), len(headings))
 
 
 #: Zenith angle and azimuth of the sun in the three atmospheres of the paper [degree].

@@ -240,10 +240,6 @@ def measured(*given: Any, **options: Any) -> Atmosphere:
     return Atmosphere.from_irradiance(irradiance_series(*given), sun_zenith=60.0, **options)
 
 
-def of_columns(columns: Any) -> Atmosphere:
-    return Atmosphere.from_table(columns, sun_zenith=30.0)
-
-
 def of_grid(grid: Any) -> Atmosphere:
     same = np.zeros_like(np.asarray(grid, dtype=float))
     return Atmosphere(grid, same, same, same, same, 30.0, 0.0)
@@ -320,12 +316,7 @@ REFUSED: list[tuple[type[PaintError], str, Callable[..., Any], tuple[Any, ...], 
         (SERIES.isel(irradiance_wavelength=slice(None, None, -1)),), {"sun_zenith": 1.0},
     ),
     # tables
-    (FormatError, "length-mismatch", of_columns, ({},), {}),
-    (FormatError, "number-unreadable", of_columns, ({"wavelength [nm]": "abc"},), {}),
-    (FormatError, "length-mismatch", of_columns, ({"wavelength [nm]": [1, 2], "sun [W m-2 nm-1]": [1]},), {}),
-    (FormatError, "length-mismatch", of_columns, ({"wavelength [nm]": 1.0},), {}),
-    (FormatError, "heading-unreadable", of_columns, ({3: [1, 2]},), {}),
-    (FormatError, r"none\.csv", of_columns, (Path("folder/none.csv"),), {}),
+    (FormatError, r"none\.csv", Atmosphere.from_table, (Path("folder/none.csv"),), {"sun_zenith": 30.0}),
 ]  # fmt: skip
 
 
@@ -339,12 +330,6 @@ def test_refused(
 ) -> None:
     with pytest.raises(kind, match=words):
         call(*arguments, **options)
-
-
-def test_grids_beyond_spectrl2_are_refused() -> None:
-    pytest.importorskip("pvlib")
-    with pytest.raises(SchemaError, match=r"SPECTRL2.*value-out-of-range"):
-        Atmosphere.spectrl2(30.0, wavelength=[200.0, 500.0])
 
 
 def test_all_problems_of_a_material_at_once() -> None:

@@ -213,7 +213,7 @@ PARSERS: Mapping[str, Parser] = {
         ),
         "tape7": (reader(f"{_SKIES}:read_tape7", {"sun_zenith": 60.0, "ground": 0.3}), _SCHEMA, ("tape7",)),
         "sixs": (_sixs, _SCHEMA, ("sixs.txt",)),
-        "sky-csv": (reader(f"{_SKIES}:read_sky_csv"), (*_SCHEMA, UnitsError), ("radiances.csv",)),
+        "sky-csv": (reader(f"{_SKIES}:read_sky_csv"), (*_SCHEMA, UnitsError), ("radiances.csv", "light.csv")),
         "nmea": (
             _navigation(format="nmea", date="2024-06-01"),
             _TIME,
@@ -236,7 +236,6 @@ PARSERS: Mapping[str, Parser] = {
             ("panel.csv", "zenith.txt", "falling.csv"),
             ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
         ),
-        "light-table": (reader("simulation.atmosphere:read_table"), _SCHEMA, ("light.csv",)),
         "mesh-obj": (_mesh, _SCHEMA, ("box.obj",)),
         "mesh-ply": (_mesh, _SCHEMA, ("box.ply",)),
         "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),

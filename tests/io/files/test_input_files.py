@@ -86,7 +86,6 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
     "GeoTIFF": (_of("io.maps.map_grids", "read_geotiff_header"), ".tif"),
     "heights": (_of("io.maps.map_grids", "read_heights"), ".tif"),
-    "light table": (_of("simulation.atmosphere", "read_table"), ".csv"),
     **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
        for suffix in (".obj", ".glb", ".ply")},
     **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix)
