@@ -49,6 +49,7 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
+from hyperpaint.geometry.georeference.viewing import mean_view
 from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
@@ -69,7 +70,6 @@ from .line_sources import (
     Source,
     distinct_pixels,
     lines_of,
-    mean_view,
     relative_azimuth,
     source_of,
 )
