@@ -298,6 +298,7 @@ class PaintAccessor:
         adjacency: float = 0.02,
         brightness: float = 0.03,
         angle: float = 5.0,
+        max_level_u: float = 0.15,
         flightline: str = "",
         name: str = "",
         progress: Progress | bool | None = None,

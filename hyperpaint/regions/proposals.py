@@ -172,12 +172,9 @@ class RoofRules:
 @dataclass(frozen=True)
 class JudgingRules:
     # Verdicts: uncertainty of the level, darker windows, flakes, and the score.
-    #: Maximum relative standard uncertainty of the level; a signature may be wrong by 6 % [1].
-    max_level_sd: float = 0.042
-    #: The same for flakes near their lobe: the level holds for one geometry only, where a degree of aspecular
-    #: angle changes it by 5 %; the shape of the spectrum is right at any level [1].
-    max_lobe_sd: float = 0.055
-    max_dark_sd: float = 0.0026  #: The same in reflectance, for dark paint, where that allows more [1].
+    coverage: float = 1.96  #: Standard uncertainties in half of a 95 % interval [1].
+    #: Reflectance below which the limit of the level's interval stays the same in reflectance [1].
+    dark: float = 0.03
     least_sd: float = 0.008  #: Relative uncertainty of a level roof: noise, dust, light of neighbours [1].
     #: Uncertainty of light added to any paint, such as by neighbours, in reflectance [1].
     mirror_sd: float = 0.0012
@@ -1219,9 +1216,15 @@ class Verdict:
     reasons: list[str] = field(default_factory=list)  #: Reasons to propose the piece.
     objections: list[str] = field(default_factory=list)  #: Reasons to refuse it; any objection refuses it.
     finish: str = "unknown"  #: "solid" or "metallic" where brightness and colour of a roof show it.
-    level_sd: float = np.nan  #: Relative standard uncertainty of its level [1].
+    #: Contributions to the relative standard uncertainty of its level, by their causes [1].
+    level_terms: Mapping[str, float] = field(default_factory=dict)
     lean: float = np.nan  #: Standard deviation of its lean [degree].
     scenery: bool = False  #: Whether it looks like leaves, a shadow or a window, and is listed last.
+
+    @property
+    def level_sd(self) -> float:
+        # Relative standard uncertainty of its level [1]; NaN without contributions.
+        return float(np.hypot.reduce(list(self.level_terms.values()))) if self.level_terms else np.nan
 
 
 class Level(NamedTuple):
@@ -1249,7 +1252,7 @@ def change_with_lean(zenith: float) -> float:
     return float(light[0] - light[1]) / 2e-3
 
 
-def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -> None:
+def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level, limits: Limits) -> None:
     # Add the uncertainty of a part's level, and visible flakes, to its verdict; object if it is too large.
     #
     # A small lean b towards the sun changes the light of a solid body by about f_dir tan(zenith) b, with the
@@ -1277,20 +1280,24 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
         "its low reflectance": JUDGING.mirror_sd / brightness,
         "broken clouds": GAPS.sd if picture.sun is not None else 0.0,
     }
-    verdict.level_sd, verdict.lean = float(np.hypot.reduce(list(contributions.values()))), rake
-    has_lobe = direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope
-    allowed = max(JUDGING.max_lobe_sd if has_lobe else JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
+    verdict.level_terms, verdict.lean = contributions, rake
+    allowed = limits["max_level_u"] * max(1.0, JUDGING.dark / brightness)
+    half_width = JUDGING.coverage * verdict.level_sd
     largest = max(contributions, key=contributions.__getitem__)
-    text = f"the uncertainty of its level is {verdict.level_sd:.1%}, mainly from {largest}"
-    if has_lobe and level.is_measured:
+    text = f"its level is within {half_width:.1%} (95 %), mainly for {largest}"
+    if (
+        level.is_measured
+        and direct > JUDGING.min_direct
+        and level.lean_change > JUDGING.max_solid_gain * slope
+    ):
         text += (
             f"; its brightness changes by {np.radians(level.lean_change):.0%} a degree of lean, like flakes"
         )
-    if verdict.level_sd <= allowed:
+    if half_width <= allowed:
         verdict.reasons.append(text)
     else:
-        advice = "fly under a higher sun, or draw a region on a level part"
-        verdict.objections.append(f"{text}: at most {allowed:.1%} is allowed; {advice}")
+        advice = "raise max_level_u, fly under a higher sun, or draw a region on a level part"
+        verdict.objections.append(f"{text}, expected at most {allowed:.1%}; {advice}")
 
 
 def judge_pixels(verdict: Verdict, limits: Limits) -> None:
@@ -1736,7 +1743,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     level = level._replace(sd=float(np.hypot(level.sd, offset)))
     verdict = Verdict(piece, measures, "roof", reasons=reasons)
     judge_pixels(verdict, limits)
-    judge_level(verdict, picture, rake, level)
+    judge_level(verdict, picture, rake, level, limits)
     judge_finish(verdict, picture, level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
@@ -1778,7 +1785,7 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
     verdict.reasons.append("part of a car with windows across it and along it")
     judge_pixels(verdict, limits)
     assumed = Level(along_change=JUDGING.unseen_change * picture.direct_share, is_measured=False)
-    judge_level(verdict, picture, JUDGING.panel_deg, assumed)
+    judge_level(verdict, picture, JUDGING.panel_deg, assumed, limits)
     if measures.pixels:
         # colour and brightness like the car's other paint
         of_roof = car.roof.inside if isinstance(car.roof, Roof) else car.footprint.paint & car.footprint.area
@@ -1920,6 +1927,7 @@ def propose_regions(
     adjacency: float = 0.02,
     brightness: float = 0.03,
     angle: float = 5.0,
+    max_level_u: float = 0.15,
     flightline: str = "",
     name: str = "",
     progress: Progress | bool | None = None,
@@ -1947,8 +1955,8 @@ def propose_regions(
     * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
       degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
       crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. The
-      mirrored sky adds an uncertainty that grows with haze. The property ``level_uncertainty`` holds it; a
-      roof is refused above 4.2 %, near the lobe of flakes 5.5 %, or 0.0026 in reflectance where that is more.
+      mirrored sky adds an uncertainty that grows with haze. The property ``level_uncertainty`` holds it, and
+      ``level_terms`` its contributions; a region is refused if 1.96 times of it exceeds ``max_level_u``.
       Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
       that shows cars, lean and level place are also estimated from them.
     * Under broken clouds a car is judged only where the record had free sun for 10 s before and after, and a
@@ -1985,6 +1993,9 @@ def propose_regions(
         of another piece; for dark paint at least 0.005 in reflectance [1].
     angle
         Largest median spectral angle to the median [degree].
+    max_level_u
+        Largest half width of the 95 % interval of the level, relative to the level, and of paint with a
+        reflectance below 0.03 relative to 0.03 [1].
     flightline
         Name of the flight line, stored in the regions.
     name
@@ -2002,7 +2013,8 @@ def propose_regions(
         ("solid", "metallic", "unknown"), ``place`` (line and column of its centre, and position),
         ``latitude``, ``longitude`` [degree, WGS 84] where the line has ground positions, or poses and the
         height of the ground, as `hyperpaint.geometry.locate` takes them, ``level_uncertainty`` (standard,
-        relative) [1], ``lean`` (standard deviation) [degree], ``pixels``, ``spectral_angle`` [degree],
+        relative) [1], ``level_terms`` (its contributions by cause, of which it is the root of the sum of
+        squares) [1], ``lean`` (standard deviation) [degree], ``pixels``, ``spectral_angle`` [degree],
         ``brightness_spread``, ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1],
         ``excluded_flags`` (see `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused``
         holds the refused pieces, with objections in the property ``refused``; see `Proposals` for pieces in
@@ -2049,6 +2061,7 @@ def propose_regions(
         "adjacency": adjacency,
         "brightness": brightness,
         "angle": angle,
+        "max_level_u": max_level_u,
     }
     problems = Problems("regions cannot be proposed", SchemaError)
     for key, value in limits.items():
@@ -2200,6 +2213,7 @@ def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, 
         "pixels": measures.pixels,
         "excluded_flags": flag_names(_EXCLUDED_FLAGS),
         **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
+        "level_terms": {cause: round(sd, 5) for cause, sd in verdict.level_terms.items() if sd},
         "reasons": verdict.reasons,
     }
     return Region(name, ring, holes, flightline, properties)

@@ -21,7 +21,6 @@ from hyperpaint.regions.proposals import (
     Roof,
     Verdict,
     _CarPark,
-    change_with_lean,
     find_cars,
     find_roof,
     footprints_of,
@@ -37,7 +36,8 @@ from hyperpaint.regions.proposals import (
 NM = np.linspace(412.0, 988.0, 24)
 AXIS = np.array([0.0, 1.0])
 LIMITS = {"erode": 3, "glint": 0.02, "shadow": 0.2, "adjacency": 0.02, "brightness": 0.03, "angle": 5.0} | {
-    "min_pixels": 40
+    "min_pixels": 40,
+    "max_level_u": 0.15,
 }
 #: Unit vectors (channel,) of a flat spectrum, and of one that is orthogonal to it.
 FLAT, SLOPED = (
@@ -131,7 +131,7 @@ def test_level__is_as_uncertain_as_its_parts(
     picture = picture_of(diffuse=diffuse, sun=(np.ones(40, bool), 0.1) if clouds else None)
     mirrored = 0.04 * diffuse.mean()
     verdict = verdict_of(brightness + mirrored)
-    judge_level(verdict, picture, 0.0, Level())
+    judge_level(verdict, picture, 0.0, Level(), LIMITS)
     direct = 1.0 - diffuse.mean()
     sky = (direct * mirror_share + (1.0 - direct) * 0.03) * mirrored / brightness
     assert verdict.level_sd == pytest.approx(np.hypot.reduce([0.008, sky, 0.0012 / brightness, clouds]))
@@ -145,31 +145,26 @@ def verdict_of(level: float, **measures: Any) -> Verdict:
 
 
 @pytest.mark.parametrize(
-    ("sd", "lean", "direct", "brightness", "is_refused"),
+    ("sd", "brightness", "max_level_u", "is_refused"),
     [
-        (0.040, 1.0, 0.9, 0.5, False),  # at most 4.2 %
-        (0.044, 1.0, 0.9, 0.5, True),
-        (
-            0.053,
-            3.2,
-            0.9,
-            0.5,
-            False,
-        ),  # at most 5.5 % in the lobe of flakes, from three times a solid body on
-        (0.057, 3.2, 0.9, 0.5, True),
-        (0.053, 2.8, 0.9, 0.5, True),
-        (0.053, 4.0, 0.55, 5.0, False),  # where half of the light is direct
-        (0.053, 4.0, 0.45, 5.0, True),
-        (0.070, 1.0, 1.0, 0.03, False),  # 0.0026 of dark paint
-        (0.082, 1.0, 1.0, 0.03, True),
+        (0.075, 0.5, 0.15, False),  # half a 95 % interval of 15 % is 1.96 times 7.6 %
+        (0.078, 0.5, 0.15, True),
+        (0.150, 0.5, 0.30, False),  # the user's limit
+        (0.155, 0.5, 0.30, True),
+        (0.113, 0.02, 0.15, False),  # of paint darker than 0.03 the same as of 0.03: 0.0045 in reflectance
+        (0.117, 0.02, 0.15, True),
     ],
 )
-def test_level__is_known_well_enough(
-    sd: float, lean: float, direct: float, brightness: float, is_refused: bool
+def test_level__is_known_within_the_limit(
+    sd: float, brightness: float, max_level_u: float, is_refused: bool
 ) -> None:
-    picture, verdict = picture_of(diffuse=1.0 - direct), verdict_of(brightness + 0.04 * (1.0 - direct))
-    judge_level(verdict, picture, 0.0, Level(1.0, sd, lean * direct * change_with_lean(45.0)))
+    # Without diffuse light no sky is mirrored; the other contributions are 0.008 and 0.0012 in reflectance
+    picture, verdict = picture_of(), verdict_of(brightness)
+    level_sd = np.sqrt(sd**2 - 0.008**2 - (0.0012 / brightness) ** 2)
+    judge_level(verdict, picture, 0.0, Level(sd=level_sd), {**LIMITS, "max_level_u": max_level_u})
+    assert verdict.level_sd == pytest.approx(sd)
     assert bool(verdict.objections) == is_refused
+    assert verdict.level_terms["the position where it is level"] == level_sd
 
 
 def car_of(paint: float, roof: float, windows: float, complete: bool = True) -> tuple[Car, Picture]:

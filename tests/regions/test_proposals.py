@@ -268,9 +268,9 @@ def test_uncertain_levels__are_of_flakes_haze_and_low_suns() -> None:
     # the reason names flakes
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     picture = Picture(model, np.empty(0), {}, 45.0)
-    verdicts = [roof_of(0.3) for _ in range(3)]
+    verdicts, limits = [roof_of(0.3) for _ in range(3)], {"max_level_u": 0.08}
     for verdict, times in zip(verdicts, (1.0, 4.0, 8.0), strict=True):
-        judge_level(verdict, picture, 0.5, Level(along_change=times * picture.direct_share))
+        judge_level(verdict, picture, 0.5, Level(along_change=times * picture.direct_share), limits)
     assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
     assert not verdicts[0].objections
     assert not verdicts[1].objections
@@ -287,19 +287,19 @@ def test_uncertain_levels__are_of_flakes_haze_and_low_suns() -> None:
         mirrored = 0.04 * float((model.diffuse_fraction * model.zenith_radiance).mean())
         for level in (0.08, 0.7):
             verdict = verdicts[sky, level] = roof_of(level + mirrored)
-            judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(1.0, 0.01, 0.9))
+            judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(1.0, 0.01, 0.9), limits)
     refused = [key for key, verdict in verdicts.items() if verdict.objections]
     assert refused == [("hazy", 0.08)]
     assert "mirrored" in verdicts["hazy", 0.08].objections[0]
     assert verdicts["covered", 0.08].level_sd < 0.03
     # Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN.
     verdict = roof_of(0.3)
-    judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
+    judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level(), limits)
     assert verdict.objections
     # Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud
     # Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast
     # sky it is proposed, of a level within 2 %
-    clear = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model")
+    clear = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model", max_level_u=0.08)
     assert len(clear) == 0
     assert any("higher sun" in text for one in clear.refused for text in one.properties["refused"])
     (region,) = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse=np.full(NM.size, 0.98))
