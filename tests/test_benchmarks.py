@@ -121,6 +121,7 @@ def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels() -> None:
         "glint": np.array([[1, 1, 1, 0], [0, 0, 0, 0]], bool),
         "shadow": np.array([[0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.0, 1.0]]),
         "indirect": np.zeros((2, 4)),
+        "turned": np.zeros((2, 4), bool),
         "mixed": np.array([[False, False, True, True], [False, False, False, False]]),
     }
     counts = scenes.count(bits, true, np.array([[0, 0, 0, 3], [4, 4, 0, 4]]))

@@ -170,7 +170,7 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
     """Return a line as Mitsuba rendered it; from the cache where it is there."""
     import xarray as xr
 
-    store = cache / f"foreign_cars_{seed}_{sky}.zarr"
+    store = cache / f"foreign_cars_2_{seed}_{sky}.zarr"
     if not store.exists():
         line = _rendered(seed)
         part = store.with_suffix(".part")
@@ -257,6 +257,12 @@ def _assembled(seed: int, light: dict[str, Any], images: dict[str, Arrays]) -> A
     )
     line["instance"] = planes, images["instance"][::-1]
     line["paint_id"] = planes, images["paint"][::-1]
+    for name in ("purity", "facing", "shadow"):
+        line[name] = planes, images[name][::-1].astype(np.float32)
+    # of the mean radiance over that of a white surface, in the same light
+    level = (np.pi * cube / (parts["sun"] + parts["sky"])[:, None]).mean(axis=1)
+    glint = images["glint"][::-1] * share.mean()
+    line["glint_share"] = planes, (glint / np.maximum(level, 1e-6)).astype(np.float32)
     line["solid_truth"] = ("car", "band"), images["normal"]
     line["geometry_truth"] = ("car", "band"), at_geometry
     things = ["ground", *(f"car_{number:03d}" for number in range(len(PLACES)))]

@@ -18,6 +18,8 @@ MAPS_AT, NEAR = 600.0, 80.0
 the first [nm], and the spectra of all materials within the second [nm] are moved along."""
 SKY_ROWS, SKY_COLUMNS = 64, 256
 DEPTH = 5
+RAYS = 4
+"""Rays along each side of a pixel that find what it shows."""
 
 
 def sky_map(nm: float, zenith: float, azimuth: float, cosine: Any, turn: Any) -> Any:
@@ -192,22 +194,67 @@ def render(mitsuba: Any, job: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def shown(mitsuba: Any, job: dict[str, Any], described: dict[str, Any]) -> dict[str, Any]:
-    """Return the instance and the paint of every pixel (row, column): 0 the ground, n + 1 the car n."""
-    scene = mitsuba.load_dict(described)
-    rows, columns = job["rows"], job["columns"]
-    half = np.tan(np.radians(job["field_of_view"] / 2))
-    x, y = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    look = np.stack([half * (2 * x - 1), -half * (2 * y - 1) * rows / columns, -np.ones_like(x)], axis=-1)
-    look = (look / np.linalg.norm(look, axis=-1, keepdims=True)).reshape(-1, 3)
-    instance, painted = np.zeros(rows * columns, np.int32), np.full(rows * columns, -1, np.int16)
+    """Return what every pixel shows (row, column), by `RAYS` x `RAYS` rays through it.
+
+    ``instance``: 0 the ground, n + 1 the car n. ``paint``: number of the car, -1 for other surfaces.
+    ``purity``: share of the rays that hit the surface of most of them. ``facing``: direct light without
+    obstacles, relative to level ground; ``shadow``: share of it that is blocked. ``glint``: reflectance of
+    the coat for the sun alone, relative to its light on level ground.
+    """
+    # unmerged: merged meshes have no names
+    scene = mitsuba.load_dict(described, optimize=False)
+    light, shape = job["light"], (job["rows"], job["columns"])
+    black = np.full(job["grid"].size, 1e-9)
+    coats = [
+        (mitsuba.load_dict(paint({"albedo": black, "flakes": None}, light, job["grid"])), flakes)
+        for flakes in ((each["flakes"] or {"share": 0.0})["share"] for each in job["paints"])
+    ]
+    towards = direction(light["sun_zenith"], light["sun_azimuth"])
+    sun, level = mitsuba.Vector3f(*towards.tolist()), float(towards[2])
     place = mitsuba.Point3f(0.0, 0.0, float(job["altitude"]))
-    for pixel, towards in enumerate(look.tolist()):
-        hit = scene.ray_intersect(mitsuba.Ray3f(place, mitsuba.Vector3f(*towards)))
-        kind, _, number = hit.shape.id().removeprefix("mesh of ").partition("_")
-        if kind in ("paint", "glass"):
-            instance[pixel] = int(number) + 1
-            painted[pixel] = int(number) if kind == "paint" else -1
-    return {"instance": instance.reshape(rows, columns), "paint": painted.reshape(rows, columns)}
+    context, wavelengths = mitsuba.BSDFContext(), mitsuba.Spectrum(550.0)
+    names = [f"mesh of {name}" for name in described if f"mesh of {name}" in described]
+    # surface of every ray, and sums over the rays
+    hits = np.zeros((RAYS**2, *shape), np.int16)
+    facing, blocked, glint = np.zeros((3, *shape))
+    half = np.tan(np.radians(job["field_of_view"] / 2))
+    steps = (np.arange(RAYS) + 0.5) / RAYS
+    for ray, (down, right) in enumerate((down, right) for down in steps for right in steps):
+        y, x = np.meshgrid(
+            (np.arange(shape[0]) + down) / shape[0], (np.arange(shape[1]) + right) / shape[1], indexing="ij"
+        )
+        look = np.stack(
+            [half * (2 * x - 1), -half * (2 * y - 1) * shape[0] / shape[1], -np.ones_like(x)], axis=-1
+        )
+        look /= np.linalg.norm(look, axis=-1, keepdims=True)
+        for pixel, vector in zip(np.ndindex(shape), look.reshape(-1, 3).tolist(), strict=True):
+            hit = scene.ray_intersect(mitsuba.Ray3f(place, mitsuba.Vector3f(*vector)))
+            name = hit.shape.id()
+            hits[ray][pixel] = names.index(name)
+            local = hit.to_local(sun)
+            if local.z <= 0.0:
+                continue
+            facing[pixel] += local.z / level
+            if scene.ray_test(hit.spawn_ray(sun)):
+                blocked[pixel] += local.z / level
+            elif name.startswith("mesh of paint_"):
+                coat, flakes = coats[int(name.rpartition("_")[2])]
+                hit.wavelengths = wavelengths
+                factor = np.pi * float(coat.eval(context, hit, local)[0]) / level
+                glint[pixel] += (1.0 - flakes) * factor
+    counts = np.stack([(hits == number).sum(axis=0) for number in range(len(names))])
+    kinds = [name.removeprefix("mesh of ").partition("_") for name in names]
+    cars = np.array([int(number) if number else -1 for _, _, number in kinds])
+    painted = np.array([kind == "paint" for kind, _, _ in kinds])
+    most = counts.argmax(axis=0)
+    return {
+        "instance": (cars[most] + 1).astype(np.int32),
+        "paint": np.where(painted[most], cars[most], -1).astype(np.int16),
+        "purity": counts.max(axis=0) / RAYS**2,
+        "facing": facing / RAYS**2,
+        "shadow": np.divide(blocked, facing, where=facing > 0.0, out=np.zeros(shape)),
+        "glint": glint / RAYS**2,
+    }
 
 
 def main(folder: Path) -> None:

@@ -3,6 +3,7 @@
     python tests/campaigns/flagged_scenes.py                 seeds 400 to 405, two minutes
     python tests/campaigns/flagged_scenes.py --seeds 7 8     others
     python tests/campaigns/flagged_scenes.py --flakes        with metallic paints, whose flakes add a lobe
+    python tests/campaigns/flagged_scenes.py --mitsuba --seeds 750 751     scenes of another renderer
     python tests/campaigns/flagged_scenes.py --json made.json     the same as numbers
 
 Scenes are those of proposed_cars.py: 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, suns 20 to 50
@@ -15,6 +16,11 @@ Surfaces are what most of a pixel shows; paints are coloured where their spectru
 varies by more than 0.5 beyond 430 nm, and else dark below a mean of 0.07. "Outside mixed pixels" leaves out
 what is flagged as mixed itself. Clean paint is coloured, lit, and gets less than 0.003 of reflectance by way
 of other things. A mixed pixel is filled to less than 95 % by one thing, or touches such a pixel.
+
+Scenes of Mitsuba are those of the fleet benchmark (`benchmarks.fleet_scenes.foreign_cars`), with its noise,
+record of irradiance, and cache. Their glint and shadow follow from rays apart from the image. Surfaces that
+get less than a tenth of the direct light of level ground, without obstacles, are left out of shadows there:
+they are turned away, and nothing is blocked. What other things add is not known of them.
 """
 
 import argparse
@@ -24,12 +30,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import platformdirs
 
 import hyperpaint as hp
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
-    sys.path.insert(0, str(ROOT))
+    sys.path[:0] = [str(ROOT), str(ROOT.parent)]
 
 SEEDS = range(400, 406)
 GLINT, GLINT_FLOOR, SHADOW = 0.04, 0.004, 0.2
@@ -38,7 +45,11 @@ CLEAN, LIT, PURE = 0.003, 0.05, 0.95
 pixel that one thing fills, from which on it is no mixed one."""
 COLOURED, DARK, VIOLET = 0.5, 0.07, 430.0
 GROUND = ("asphalt", "concrete", "line", "grass", "panel")
+TURNED_AWAY = 0.1
+"""Direct light of a surface, relative to level ground, below which it has no shadow."""
 SURFACES = ("coloured paint", "grey, white paint", "dark paint", "glass", "ground", "other")
+PAINTS = 3
+"""Number of the first surfaces, which are paints."""
 INNER, WHOLE = "outside mixed pixels", "with mixed pixels"
 
 Counts = dict[str, tuple[int, int, int]]
@@ -70,23 +81,37 @@ def surfaces_of(line: Any) -> Any:
     return made
 
 
-def true_layers(line: Any, sky: Any) -> dict[str, Any]:
+def foreign_surfaces(line: Any) -> Any:
+    # Return the same of a scene of Mitsuba
+    kinds = {"red": "coloured paint", "blue": "coloured paint", "black": "dark paint"}
+    paints = [kinds.get(name.split()[0], "grey, white paint") for name in json.loads(line.attrs["paints"])]
+    numbers = np.array([SURFACES.index(kind) for kind in paints])
+    other = np.where(line["instance"].values > 0, SURFACES.index("glass"), SURFACES.index("ground"))
+    return np.where(line["paint_id"].values >= 0, numbers[line["paint_id"].values], other)
+
+
+def true_layers(line: Any, sky: Any = None) -> dict[str, Any]:
     # Return what the renderer knows of every pixel, of a line without noise
-    # ``glint`` whether it matters; ``indirect`` in reflectance [1]; ``shadow`` the blocked part of the beam,
-    # ``mixed`` whether a pixel is
+    # ``glint`` whether it matters; ``indirect`` in reflectance [1], NaN without ``sky``; ``shadow`` the
+    # blocked part of the beam, ``turned`` whether the surface is turned away from the sun, ``mixed`` whether
+    # a pixel is
     from scipy.ndimage import minimum_filter
 
-    nm = line["wavelength"].values
-    whole = np.interp(nm, sky.wavelength, sky.irradiance)
-    # shares are of the mean radiance before the air between, which that of the reflectance is
-    radiance = np.einsum("lbx,b->lx", line["reflectance"].values.astype(np.float64), whole) / nm.size
     # where no ray met any light, shares of it are not numbers
     level = line["reflectance"].values.mean(axis=1, dtype=np.float64)
-    glint, indirect = (np.nan_to_num(line[name].values) for name in ("glint_share", "indirect_share"))
+    glint = np.nan_to_num(line["glint_share"].values)
+    indirect = np.full(level.shape, np.nan)
+    if sky is not None:
+        nm = line["wavelength"].values
+        whole = np.interp(nm, sky.wavelength, sky.irradiance)
+        # shares are of the mean radiance before the air between, which that of the reflectance is
+        radiance = np.einsum("lbx,b->lx", line["reflectance"].values.astype(np.float64), whole) / nm.size
+        indirect = np.nan_to_num(line["indirect_share"].values) * radiance / whole.mean()
     return {
         "glint": glint * level > np.maximum(GLINT * (1.0 - glint) * level, GLINT_FLOOR),
-        "indirect": indirect * radiance / whole.mean(),
+        "indirect": indirect,
         "shadow": line["shadow"].values,
+        "turned": line["facing"].values < TURNED_AWAY if "facing" in line else np.zeros(level.shape, bool),
         "mixed": minimum_filter(line["purity"].values, 3) < PURE,
     }
 
@@ -102,9 +127,11 @@ def count(bits: Any, true: dict[str, Any], surface: Any) -> Counts:
     made = {}
     for name, is_true in (("glint", true["glint"]), ("shadow", true["shadow"] >= SHADOW)):
         found = flagged[name.upper()]
-        for pixels, counted in ((INNER, ~mixed), (WHOLE, everywhere)):
+        judged = everywhere if name == "glint" else ~true["turned"]
+        for pixels, counted in ((INNER, ~mixed & judged), (WHOLE, judged)):
             for number, label in enumerate(SURFACES):
                 made[f"{name}, {pixels}, {label}"] = _three(found, is_true, counted & (surface == number))
+            made[f"{name}, {pixels}, all paint"] = _three(found, is_true, counted & (surface < PAINTS))
             made[f"{name}, {pixels}, all"] = _three(found, is_true, counted)
     clean = (surface == SURFACES.index("coloured paint")) & (true["indirect"] < CLEAN)
     clean &= (true["shadow"] < LIT) & ~mixed
@@ -151,16 +178,36 @@ def rows_of(counts: Counts) -> list[str]:
     return made
 
 
-def look(seed: int, flakes: bool, samples: int) -> Counts:
-    # Render, survey and flag a scene, print a row, and return what was counted
+def rendered(seed: int, flakes: bool, samples: int) -> tuple[Any, Counts]:
+    # Return a scene of this project's renderer, surveyed and flagged, and what was counted
     from campaigns.proposed_cars import render, seen_with_noise
 
     clean, sky = render(seed, flakes, samples, surroundings_of(seed))
     line = seen_with_noise(clean, seed).chunk(along_track=64)
     light = {"diffuse": "model", "sun_zenith": sky.sun_zenith, "sun_azimuth": sky.sun_azimuth}
     bits = hp.surroundings.flag(line, **light, heading=0.0)["quality"].values
-    counts = count(bits, true_layers(clean, sky), surfaces_of(clean))
-    told = f"{seed:>4} {sky.sun_zenith:>4.0f}/{sky.sun_azimuth:>4.0f} {'+'.join(surroundings_of(seed)):<12}"
+    clean.attrs |= {"sun_zenith": sky.sun_zenith, "sun_azimuth": sky.sun_azimuth}
+    return clean, count(bits, true_layers(clean, sky), surfaces_of(clean))
+
+
+def foreign(seed: int, cache: Path) -> tuple[Any, Counts]:
+    # Return the same of a scene of Mitsuba; levels are from the noisy reflectance, whose mean is not noisy
+    from benchmarks.fleet_scenes import foreign_cars, verdicts
+
+    line = foreign_cars.line_of(seed, "clear", cache)
+    seen, _, flagged = verdicts.looked_at(line)
+    layers = true_layers(line.assign(reflectance=seen["reflectance"].variable))
+    return line, count(flagged["quality"].values, layers, foreign_surfaces(line))
+
+
+def look(seed: int, asked: argparse.Namespace) -> Counts:
+    # Render, survey and flag a scene, print a row, and return what was counted
+    if asked.mitsuba:
+        line, counts = foreign(seed, asked.cache)
+    else:
+        line, counts = rendered(seed, asked.flakes, asked.samples)
+    around = "Mitsuba" if asked.mitsuba else "+".join(surroundings_of(seed))
+    told = f"{seed:>4} {line.attrs['sun_zenith']:>4.0f}/{line.attrs['sun_azimuth']:>4.0f} {around:<12}"
     for name in ("glint", "shadow"):
         precision, recall = precision_and_recall(*counts[f"{name}, {INNER}, all"])
         told += f"  {name} {precision:.3f} {recall:.3f}"
@@ -173,17 +220,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--flakes", action="store_true", help="metallic paints too")
+    parser.add_argument("--mitsuba", action="store_true", help="scenes of Mitsuba, of the fleet benchmark")
+    folder = Path(platformdirs.user_cache_dir("hyperpaint")) / "fleet"
+    parser.add_argument("--cache", type=Path, default=folder, help="folder of Mitsuba's scenes")
     parser.add_argument("--samples", type=int, default=128, help="rays a pixel")
     parser.add_argument(
         "--json", type=Path, help="file that the counts of every scene, and their sums, go to"
     )
     asked = parser.parse_args(arguments)
     print("seed     sun around        precision and recall outside mixed pixels", flush=True)
-    scenes = {seed: look(seed, asked.flakes, asked.samples) for seed in asked.seeds}
+    scenes = {seed: look(seed, asked) for seed in asked.seeds}
     counts = total(list(scenes.values()))
     print("\n".join(rows_of(counts)))
     if asked.json is not None:
-        made = {"flakes": asked.flakes, "samples": asked.samples, "scenes": scenes, "all": counts}
+        names = ("flakes", "mitsuba", "samples")
+        made = {**{name: getattr(asked, name) for name in names}, "scenes": scenes, "all": counts}
         asked.json.write_text(json.dumps(made, indent=1))
     reached = (precision_and_recall(*counts[f"{name}, {INNER}, all"]) for name in ("glint", "shadow"))
     return int(min(value for both in reached for value in both) < 0.95)
