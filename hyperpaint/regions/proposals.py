@@ -21,14 +21,14 @@ import dask
 import numpy as np
 import xarray as xr
 from scipy.ndimage import (
-    binary_closing,
-    binary_fill_holes,
     binary_opening,
     distance_transform_edt,
     find_objects,
     label,
     map_coordinates,
+    maximum_filter,
     minimum,
+    minimum_filter,
     uniform_filter,
 )
 from scipy.spatial import ConvexHull
@@ -753,10 +753,12 @@ def footprints_of(
     colour: Floats,
     picture: Picture,
     joinings: Sequence[tuple[bool, bool, bool]],
+    max_size: float = np.inf,
 ) -> Iterator[Footprint]:
     # Yield the footprint of the car around a piece of paint, for each of the rules for joining parts.
     #
-    # Rules with which the paint extends beyond the largest margin yield nothing. Takes ``inside`` (line,
+    # Rules with which the paint extends beyond the largest margin, or its thick part around the piece beyond
+    # ``max_size`` [pixel], yield nothing. Takes ``inside`` (line,
     # column): the piece; ``origin``: line and column of its first pixel; ``colour`` (channel,): its
     # reflectance, less the mirrored sky [1]; ``joinings``: see `JOININGS`.
     shape = np.array(picture.level.shape)
@@ -774,7 +776,9 @@ def footprints_of(
             paint, ground, dark, brightness = matches[key]
             seed = np.zeros(paint.shape, bool)
             seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
-            area = _car_area(seed, paint | seed, ground, dark if over_windows else None, cut_bridges)
+            area = _car_area(
+                seed, paint | seed, ground, dark if over_windows else None, cut_bridges, max_size
+            )
             if area is None:
                 break
             # whether the car reaches the first line and column of the window, and the last ones
@@ -790,15 +794,15 @@ def _matched_colour(
     colour: Floats, picture: Picture, window: tuple[slice, slice], wide_brightness: bool
 ) -> tuple[Bools, Bools, Bools, Floats]:
     # Pixels (line, column) of paint, of ground, and darker than paint; brightness relative to the paint
-    spectra = picture.without_sky(window)
-    length = np.maximum(np.linalg.norm(spectra, axis=2), 1e-9)
+    spectra = picture.channels[window] - picture.sky
+    length = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", spectra, spectra)), np.float32(1e-9))
     colour_length, ground_length = float(np.linalg.norm(colour)), float(np.linalg.norm(picture.ground))
-    brightness = (spectra @ colour) / colour_length**2
+    brightness = (spectra @ (colour / colour_length**2).astype(np.float32)).astype(np.float64)
     paint_cosine = brightness * colour_length / length
     is_dark = float(colour.mean()) < SURFACES.dark
     low, high = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide_brightness]
     # pixels as bright as the ground are paint only if their spectrum is closer to the paint's
-    ground_cosine = (spectra @ picture.ground) / (length * ground_length)
+    ground_cosine = (spectra @ (picture.ground / ground_length).astype(np.float32)) / length
     is_ground_bright = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
     is_closer = (paint_cosine > ground_cosine) | ~is_ground_bright
     paint = (paint_cosine > FOOTPRINTS.min_cosine) & (brightness > low) & (brightness < high) & is_closer
@@ -807,18 +811,30 @@ def _matched_colour(
 
 
 def _car_area(
-    seed: Bools, paint: Bools, ground: Bools, dark: Bools | None, cut_bridges: bool
+    seed: Bools, paint: Bools, ground: Bools, dark: Bools | None, cut_bridges: bool, max_size: float
 ) -> Bools | None:
     # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
     # Bay lines and mirrors are thin. Parts with ground between them and the seed are not added. With `dark`,
-    # parts with only dark pixels between them are connected.
+    # parts with only dark pixels between them are connected. None without a core up to `max_size` [pixel].
     square, gap = np.ones((3, 3), bool), FOOTPRINTS.max_gap_px
-    closed = binary_closing(np.pad(paint, gap), square, iterations=gap)[gap:-gap, gap:-gap]
+    dilated = _squares(np.pad(paint, gap), gap, grow=True)
+    closed = _squares(dilated, gap, grow=False)[gap:-gap, gap:-gap]
     if cut_bridges:
-        closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
+        eroded = _squares(closed, FOOTPRINTS.bridge_px, grow=False)
+        closed = _squares(eroded, FOOTPRINTS.bridge_px, grow=True) | seed
     parts, _ = label(closed if dark is None else closed | dark, square)
-    seed_parts = np.unique(parts[seed])
-    filled = binary_fill_holes(closed & np.isin(parts, seed_parts[seed_parts > 0]))
+    is_seed_part = np.zeros(int(parts.max()) + 1, bool)
+    is_seed_part[parts[seed]] = True
+    is_seed_part[0] = False
+    closed &= is_seed_part[parts]
+    if not closed.any():
+        return None
+    # only the part of the window around the connected parts, with a pixel of background
+    shape, window = closed.shape, padded(find_objects(closed.view(np.int8))[0], 1)
+    seed, ground = seed[window], ground[window]
+    # the first component of the background is outside; others are holes
+    outside, _ = label(np.pad(~closed[window], 1, constant_values=True))
+    filled = (outside != 1)[1:-1, 1:-1]
     depth = distance_transform_edt(filled)
     # the depth at the seed counts: a wall that the car touches may be wider
     min_depth = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
@@ -830,6 +846,8 @@ def _car_area(
     # the hull and the ground in it stay within the limits of a car
     seed_core = int(np.argmax(seed_sizes))
     car_cores = cores == seed_core
+    if car_cores.sum() > max_size:
+        return None
     area = _hull_around(car_cores, min_depth, filled)
     large_cores = np.flatnonzero(np.bincount(cores.ravel()) > min_depth * min_depth).tolist()
     candidates = [core for core in large_cores if core not in (0, seed_core)]
@@ -848,7 +866,15 @@ def _car_area(
         is_narrow = _rectangle(hull)[3] < FOOTPRINTS.max_width * 2.0 * half_width
         if is_narrow and (hull & ground).sum() < FOOTPRINTS.max_ground_share * hull.sum():
             car_cores, area, gaps = larger_cores, hull, {}
-    return area
+    whole = np.zeros(shape, bool)
+    whole[window] = area
+    return whole
+
+
+def _squares(mask: Bools, px: int, *, grow: bool) -> Bools:
+    # Dilate or erode a mask by squares with half a side of some pixels; nothing lies outside the mask
+    filtered = (maximum_filter if grow else minimum_filter)(mask.view(np.uint8), 2 * px + 1, mode="constant")
+    return np.asarray(filtered.view(bool))
 
 
 def _hull_around(core: Bools, radius: float, filled: Bools) -> Bools:
@@ -1576,8 +1602,7 @@ def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
     # certain cars with paint of narrow brightness, then again without footprints larger than most cars
     narrow, wide = JOININGS[:4], JOININGS[4:]
     uncertain = car_park.add_certain([Car([piece]) for piece in sorted(pieces, key=order)], narrow, np.inf)
-    sizes = [car.size for car in car_park.cars]
-    max_size = CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
+    max_size = car_park.max_size
     uncertain += car_park.add_certain(
         [Car([piece]) for piece in car_park.remove_larger(max_size)], narrow, max_size
     )
@@ -1597,6 +1622,12 @@ class _CarPark:
         self._area = np.full(picture.level.shape, -1, np.int32)
         self._paint = self._area.copy()
 
+    @property
+    def max_size(self) -> float:
+        # Maximum size of a car, from the sizes of the cars [pixel]
+        sizes = [car.size for car in self.cars]
+        return CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
+
     def add_certain(
         self, cars: list[Car], joinings: Sequence[tuple[bool, bool, bool]], max_size: float
     ) -> list[Car]:
@@ -1607,7 +1638,10 @@ class _CarPark:
             if self.assign(piece):
                 continue
             colour = np.median(self._picture.without_sky(piece.window)[piece.inside], axis=0)
-            for footprint in footprints_of(piece.inside, piece.origin, colour, self._picture, joinings):
+            limit = min(max_size, self.max_size)
+            for footprint in footprints_of(
+                piece.inside, piece.origin, colour, self._picture, joinings, limit
+            ):
                 car = Car(
                     [piece], footprint, find_roof(footprint, self._picture.level[footprint.window])
                 ).unless_larger(max_size)
