@@ -20,6 +20,7 @@ from hyperpaint.base import (
     VARIABLES,
     Array,
     ArrayLike,
+    Bools,
     Floats,
     Ints,
     Problems,
@@ -87,7 +88,8 @@ def diffuse_from_record(
     -------
     Dataset
         ``diffuse_fraction`` and ``diffuse_fraction_u`` (irradiance_time, band), float32 [1], mean and
-        standard deviation over the possible skies; NaN where a sample has no data. ``sky_state``
+        standard deviation over the possible skies, and under broken clouds over a minute, except where the
+        sun is free for 2.5 s before and after; NaN where a sample has no data. ``sky_state``
         (irradiance_time), int8: 0 clear, 1 hazy, 2 broken, 3 overcast, 4 contradictory: thin cloud before the
         sun, a level that no sky has or a receiver that is not calibrated, or several skies that explain it
         alike; the uncertainty is then wide. ``sky_probability`` (irradiance_time, state) [1], and
@@ -364,6 +366,12 @@ class SkyRules:
         Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
     window_s
         Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
+    passing_s
+        Half width of the interval within which the light of a moment is judged [s]: at 8 m/s, the shadow of
+        a cloud passes a receiver 20 m away in this time.
+    bright, free, steady
+        Quantile of the level over `window_s` that stands for free sun; and the lowest level of free sun
+        relative to it, and relative to the highest within `passing_s` [1].
     wrong_clock
         Probability that clock or place are wrong, so that the sun stands elsewhere [1].
     other_sun_deg
@@ -395,6 +403,10 @@ class SkyRules:
     calm_spread: tuple[float, ...] = (1.0, 0.8, 0.5, 1.0)
     restless_spread: float = 0.5
     window_s: float = 90.0
+    passing_s: float = 2.5
+    bright: float = 0.95
+    free: float = 0.97
+    steady: float = 0.98
     wrong_clock: float = 0.02
     other_sun_deg: float = 7.0
     misfit: float = 4.0
@@ -691,24 +703,42 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     model = RULES.floor + RULES.model * mean * (1.0 - mean)
     u = np.sqrt(np.maximum(square - 2.0 * mean * fraction + mean**2, 0.0) + model**2)
     fraction = mean
-    # under broken cloud, a shadow reaches receiver and ground at different times
+    # under broken cloud, a shadow reaches receiver and ground at different times, except in free sun
     departure = fraction - fraction.mean(axis=0)
     square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
+    square[_has_free_sun(evidence)] = 0.0
     u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
     node_550 = int(np.abs(NODES_NM - 550.0).argmin())
     cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
     return fraction, u, probability, np.clip(cloud, 0.0, 1.0)
 
 
-def _window_of(seconds: Floats) -> tuple[Ints, Ints]:
+def _has_free_sun(evidence: Evidence) -> Bools:
+    # Return whether no cloud hides the sun for some seconds around a sample (sample,).
+    #
+    # The light is then steady, with both neighbours in the record, and as bright as the brightest moments of
+    # the window.
+    cosine = np.cos(np.radians(np.minimum(evidence.sun_zenith, MAX_SUN_ZENITH_DEG)))
+    level = np.exp(evidence.level).mean(axis=1) / cosine
+    start, stop = _window_of(evidence.seconds, RULES.passing_s)
+    is_free = np.zeros(level.size, bool)
+    for sample, around in enumerate(zip(*_window_of(evidence.seconds), strict=True)):
+        if 0 < sample < level.size - 1:
+            near = level[min(start[sample], sample - 1) : max(stop[sample], sample + 2)]
+            lowest = RULES.free * np.quantile(level[slice(*around)], RULES.bright)
+            is_free[sample] = near.min() > max(lowest, RULES.steady * near.max())
+    return is_free
+
+
+def _window_of(seconds: Floats, half_s: float = RULES.window_s) -> tuple[Ints, Ints]:
     # Return the first sample within the window of each sample, and the first sample after it (sample,).
-    first = np.searchsorted(seconds, seconds - RULES.window_s, side="left")
-    return first, np.searchsorted(seconds, seconds + RULES.window_s, side="right")
+    first = np.searchsorted(seconds, seconds - half_s, side="left")
+    return first, np.searchsorted(seconds, seconds + half_s, side="right")
 
 
-def _window_means(values: Floats, seconds: Floats) -> Floats:
+def _window_means(values: Floats, seconds: Floats, half_s: float = RULES.window_s) -> Floats:
     # Return means of values (sample, ...) over the window of each sample; times increase.
-    first, last = _window_of(seconds)
+    first, last = _window_of(seconds, half_s)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
 

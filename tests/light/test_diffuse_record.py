@@ -107,8 +107,11 @@ def test_broken_cloud_takes_the_sun_and_gives_it_back() -> None:
     assert words(one) == {"broken"}
     truth = np.array([np.interp(BANDS, NM, row) for row in diffuse / (free * direct + diffuse)])
     assert inside(one, truth) > 0.95
-    # next to the receiver it is the other way round
-    assert float(one.diffuse_fraction_u.min()) > 0.15
+    # beside the edge of a cloud, the sky next to the receiver may be the other way round
+    order = np.arange(SAMPLES) % 10
+    inner = (order > 5) & (order < 9) & (np.arange(SAMPLES) < SAMPLES - 1)
+    assert float(one.diffuse_fraction_u[inner].max()) < 0.1
+    assert float(one.diffuse_fraction_u[~inner].min()) > 0.15
 
 
 @pytest.mark.parametrize("factor", [0.78, 1.25, 1.6])
