@@ -19,7 +19,7 @@ import hyperpaint.workflows as workflows
 from hyperpaint.base import flags_named
 from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.spectrometers.asd import sniff
-from hyperpaint.io.store.raw_references import outside, virtual_groups
+from hyperpaint.io.store import outside, virtual_groups
 from hyperpaint.pictures.figures import check_picture
 
 from .options import (

@@ -22,16 +22,20 @@ from hyperpaint.base import (
     head_of,
     input_path,
 )
-from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
-from hyperpaint.io.store.manifest import store_state
-from hyperpaint.io.store.raw_references import (
+from hyperpaint.io.store import (
     RAW_FILES,
+    is_complete,
     is_virtual,
+    is_zarr,
+    list_groups,
+    open_group,
+    open_unverified,
     open_virtual,
+    place_of,
     refuse_kerchunk,
+    store_state,
     virtual_groups,
 )
-from hyperpaint.io.store.reader import is_zarr, place_of
 from hyperpaint.report.summaries import (
     Facts,
     counted,

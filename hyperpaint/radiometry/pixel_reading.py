@@ -33,7 +33,7 @@ from hyperpaint.base import (
     stamp_means,
     takes_quantities,
 )
-from hyperpaint.io.store.computing import scheduler_in_force
+from hyperpaint.io.store import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs
 from hyperpaint.kernels.overviews import average_blocks
 

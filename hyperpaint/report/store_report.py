@@ -53,9 +53,17 @@ from hyperpaint.base import (
 )
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file, published_folder
-from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified, to_store
-from hyperpaint.io.store.manifest import Location, store_state
-from hyperpaint.io.store.reader import place_of, version_of_program
+from hyperpaint.io.store import (
+    Location,
+    list_groups,
+    open_group,
+    open_store,
+    open_unverified,
+    place_of,
+    store_state,
+    to_store,
+    version_of_program,
+)
 from hyperpaint.light.daylight_colours import srgb_hex
 from hyperpaint.paints.paint_libraries import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of

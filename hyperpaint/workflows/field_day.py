@@ -45,8 +45,13 @@ from hyperpaint.io.library import open_library
 from hyperpaint.io.maps.map_grids import RGB_WAVELENGTHS, nearest_bands
 from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-from hyperpaint.io.store import budget, list_groups, open_store, to_store
-from hyperpaint.io.store.manifest import INPUTS
+from hyperpaint.io.store import (
+    INPUTS,
+    budget,
+    list_groups,
+    open_store,
+    to_store,
+)
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 from hyperpaint.radiometry.counts_to_reflectance import reflectance

@@ -77,38 +77,45 @@ from hyperpaint.io.envi.envi_cubes import (
 )
 from hyperpaint.io.files.publishing import publish_file, published_folder
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.io.store import budget, is_complete, open_group
-from hyperpaint.io.store.budget import Demand, limited_threads, parse_size
-from hyperpaint.io.store.computing import (
+from hyperpaint.io.store import (
+    INPUTS,
     RETRIES,
+    SETTINGS,
     Codec,
+    Demand,
     Layout,
-    client_in_force,
-    errors_of_the_cluster,
-    scheduler_in_force,
-    with_layout,
-)
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of, numerics_of
-from hyperpaint.io.store.raw_references import (
+    Location,
+    Manifest,
     RawFile,
-    VirtualCube,
-    check_url,
-    is_virtual,
-    open_virtual,
-    refuse_kerchunk,
-    summary_of,
-    virtual_groups,
-    write_icechunk,
-)
-from hyperpaint.io.store.reader import check_above, groups_above, version_of_program
-from hyperpaint.io.store.writer import (
     Staging,
+    VirtualCube,
     WholeRun,
+    budget,
+    check_above,
     check_codec,
     check_room,
+    check_url,
+    client_in_force,
+    content_of,
+    errors_of_the_cluster,
+    groups_above,
+    is_complete,
+    is_virtual,
+    limited_threads,
+    numerics_of,
+    open_group,
+    open_virtual,
+    parse_size,
+    refuse_kerchunk,
     run_contents,
+    scheduler_in_force,
     staging,
+    summary_of,
+    version_of_program,
+    virtual_groups,
     whole_run,
+    with_layout,
+    write_icechunk,
 )
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview

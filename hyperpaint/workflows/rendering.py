@@ -86,11 +86,16 @@ from hyperpaint.io.files.reading import TableReader, load_tables, values
 from hyperpaint.io.library import open_library
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-from hyperpaint.io.store import list_groups, open_group, open_store
-from hyperpaint.io.store.budget import size_text
-from hyperpaint.io.store.computing import errors_of_the_cluster
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS
-from hyperpaint.io.store.writer import WholeRun
+from hyperpaint.io.store import (
+    INPUTS,
+    SETTINGS,
+    WholeRun,
+    errors_of_the_cluster,
+    list_groups,
+    open_group,
+    open_store,
+    size_text,
+)
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
 from hyperpaint.simulation.atmosphere import PRESETS, SKY, Atmosphere, preset_atmosphere

@@ -56,7 +56,7 @@ from hyperpaint.geometry.orthorectification.mapping import (
     tile_array,
     tile_windows,
 )
-from hyperpaint.io.store.computing import TILE as STORE_TILE
+from hyperpaint.io.store import TILE as STORE_TILE
 
 _MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
 _WAVELENGTH_TOLERANCE_NM = 1e-6

@@ -52,7 +52,7 @@ from hyperpaint.geometry.georeference.locating import (
     line_slabs,
     locate,
 )
-from hyperpaint.io.store.computing import client_in_force
+from hyperpaint.io.store import client_in_force
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
 from hyperpaint.kernels.rays import fill_between, gather_bilinear, gather_nearest, invert_lines
 from hyperpaint.radiometry.counts_to_reflectance import reflectance

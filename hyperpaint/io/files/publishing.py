@@ -34,10 +34,14 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hyperpaint.base import PaintError, Problem, Problems, StoreError, is_plain_file
-from hyperpaint.io.store.budget import size_text
-from hyperpaint.io.store.computing import flush_group
-from hyperpaint.io.store.manifest import sync
-from hyperpaint.io.store.writer import Staging, discard, staging
+from hyperpaint.io.store import (
+    Staging,
+    discard,
+    flush_group,
+    size_text,
+    staging,
+    sync,
+)
 
 _SWAP, _JOURNAL = "swap", "journal"
 MAX_JOURNAL_BYTES = 100_000

@@ -66,8 +66,12 @@ from hyperpaint.io.files.reading import (
     refuse,
     to_integers,
 )
-from hyperpaint.io.store import list_groups, load_group, open_unverified
-from hyperpaint.io.store.reader import is_zarr
+from hyperpaint.io.store import (
+    is_zarr,
+    list_groups,
+    load_group,
+    open_unverified,
+)
 
 _MAX_FRAME = 1 << 40
 _SECOND_US = 1_000_000

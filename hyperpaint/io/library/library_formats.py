@@ -64,8 +64,12 @@ from hyperpaint.io.spectrometers.spectrum_texts import (
     heading_cells,
     read_spectrum_text,
 )
-from hyperpaint.io.store import list_groups, open_store, to_store
-from hyperpaint.io.store.reader import is_zarr
+from hyperpaint.io.store import (
+    is_zarr,
+    list_groups,
+    open_store,
+    to_store,
+)
 
 from .spectra_files import (
     CENTRE,

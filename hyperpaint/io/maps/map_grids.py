@@ -47,7 +47,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.files.publishing import published_files, unwritable
 from hyperpaint.io.files.reading import number
-from hyperpaint.io.store.computing import in_stages
+from hyperpaint.io.store import in_stages
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 #: First bytes of files, and the driver that opens them; all are single-file formats.

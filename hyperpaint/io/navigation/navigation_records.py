@@ -87,8 +87,7 @@ from hyperpaint.io.files.reading import (
     to_integers,
 )
 from hyperpaint.io.flightline.side_files import FrameIndex, check_increasing, time_of_day
-from hyperpaint.io.store import load_group
-from hyperpaint.io.store.reader import is_zarr
+from hyperpaint.io.store import is_zarr, load_group
 
 #: GPS time minus UTC [s], valid from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC - 19 s).
 LEAP_SECONDS: Mapping[str, int] = {

@@ -49,8 +49,7 @@ from hyperpaint.io.files.reading import (
     read_limited_text,
     refuse,
 )
-from hyperpaint.io.store import list_groups, load_group
-from hyperpaint.io.store.reader import is_zarr
+from hyperpaint.io.store import is_zarr, list_groups, load_group
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults

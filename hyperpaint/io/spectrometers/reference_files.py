@@ -13,8 +13,7 @@ import xarray as xr
 from hyperpaint.base import FormatError, PaintError, Problem, Problems
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 from hyperpaint.io.library import open_library
-from hyperpaint.io.store import list_groups, open_store
-from hyperpaint.io.store.reader import is_zarr
+from hyperpaint.io.store import is_zarr, list_groups, open_store
 
 from .asd import open_asd, sniff
 from .spectrum_files import find_paths

@@ -2,30 +2,12 @@
 
 In: datasets and trees of them (`to_store`), or a store's path. Out: a store with a checksum for every chunk,
 groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the user.
+Other rooms import its names from here.
 """
 
-from .computing import encoding
-from .reader import (
-    StoreReport,
-    is_complete,
-    list_groups,
-    load_group,
-    open_group,
-    open_store,
-    open_unverified,
-    verify,
-)
-from .writer import to_store
-
-__all__ = [
-    "StoreReport",
-    "encoding",
-    "is_complete",
-    "list_groups",
-    "load_group",
-    "open_group",
-    "open_store",
-    "open_unverified",
-    "to_store",
-    "verify",
-]
+from .budget import *
+from .computing import *
+from .manifest import *
+from .raw_references import *
+from .reader import *
+from .writer import *

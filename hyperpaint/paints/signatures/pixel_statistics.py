@@ -19,7 +19,7 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
 )
-from hyperpaint.io.store.computing import client_in_force
+from hyperpaint.io.store import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.uncertainty import effective_number
 from hyperpaint.regions import Region
