@@ -5,7 +5,6 @@ columns, or the line corrected by them, go out; `align` compares camera and reco
 differences. Called by users, the accessor, `validation` and `workflows`.
 """
 
-from .comparison import align, align_to_irradiance, apply_alignment, compared
-from .lamp import oxygen_depth, oxygen_residual
+from .comparison import align, align_to_irradiance, apply_alignment, compared, oxygen_depth, oxygen_residual
 
 __all__ = ["align", "align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]
