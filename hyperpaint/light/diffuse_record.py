@@ -736,9 +736,9 @@ def _window_of(seconds: Floats, half_s: float = RULES.window_s) -> tuple[Ints, I
     return first, np.searchsorted(seconds, seconds + half_s, side="right")
 
 
-def _window_means(values: Floats, seconds: Floats, half_s: float = RULES.window_s) -> Floats:
+def _window_means(values: Floats, seconds: Floats) -> Floats:
     # Return means of values (sample, ...) over the window of each sample; times increase.
-    first, last = _window_of(seconds, half_s)
+    first, last = _window_of(seconds)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
 
