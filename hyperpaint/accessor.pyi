@@ -227,7 +227,7 @@ class PaintAccessor:
         sky: str | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Subtract the sky that a clear coat mirrors, as seen from above."""
+        """Subtract the sky that a level clear coat mirrors to the camera."""
     def correct_coat(
         self,
         *,

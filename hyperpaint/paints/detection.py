@@ -43,7 +43,7 @@ from hyperpaint.paints.signatures.line_sources import lines_of
 from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.polygons import regions_from
-from hyperpaint.surroundings.corrections import has_split, sky_above, split_of
+from hyperpaint.surroundings.corrections import has_split, relative_sky, split_of
 
 # --- scores of spectra for paints, and distances from paints: plain arrays, float64 ------------------------
 
@@ -724,7 +724,7 @@ def _mirrored_sky(line: xr.Dataset, bands: Ints) -> Floats | None:
     if not has_split(line):
         return None
     split = split_of(line, None, None).mean()
-    sky = np.asarray((split.fraction * sky_above(split)).values, np.float64)[bands]
+    sky = np.asarray((split.fraction * relative_sky(split)).values, np.float64)[bands]
     return sky if np.isfinite(sky).all() and sky.any() else None
 
 

@@ -9,17 +9,20 @@ declared. `survey`, the corrections and signatures use it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.ndimage import map_coordinates
 
 from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     BODY,
+    CROSS_TRACK,
     EXCLUDED,
     SIGNATURE,
     THROUGH_COAT,
@@ -35,9 +38,22 @@ from hyperpaint.base import (
     takes_quantities,
     warn_user,
 )
-from hyperpaint.light.clear_sky import air_mass, radiance_towards_sun, sunward_gain, zenith_radiance
-from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
+from hyperpaint.geometry.georeference.viewing import pixel_view
+from hyperpaint.light.clear_sky import ClearSky, air_mass, cubic_weights, linear_weights, sunward_gain
+from hyperpaint.light.coat_transmission import (
+    COAT_INDEX,
+    COAT_INDEX_U,
+    interface_reflectance,
+    sky_reflectance,
+    transmitted_share,
+)
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
+from hyperpaint.light.sky_functions import (
+    AZIMUTH_STEP_DEG,
+    ZENITH_STEP_DEG,
+    clear_sky_shares,
+    function_tables,
+)
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 from .detection_rules import MIRROR
@@ -82,6 +98,19 @@ CONTRADICTORY = SKY_STATES.index("contradictory")
 
 #: Number of an unknown state of the sky, as for a measured split; see `SKY_STATES`.
 UNKNOWN_STATE = -1
+
+#: Aerosol optical depths at 500 nm between which the sky of a split is interpolated [1].
+SKY_AEROSOLS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.4])
+
+#: Directions at which clear skies are computed, from the zenith and in azimuth from the sun [degree].
+SKY_ZENITH_DEG, SKY_AZIMUTH_DEG = np.arange(0.0, 88.0, 3.0), np.arange(0.0, 181.0, 10.0)
+
+#: Standard uncertainty of the radiance of a sky in one direction, relative: polarisation changes it by 3 to
+#: 6 % in the blue, the phase function of aerosol as much; and of a measured split's, taken for uniform [1].
+SKY_U = (0.06, 0.4)
+
+#: Angle from the zenith of an unknown view: half of the half field of view of a usual camera [degree].
+UNKNOWN_VIEW_DEG = 10.0
 
 #: Minimum share of the lines for a state that `LightSplit.states` lists [1].
 MIN_STATE_SHARE = 0.1
@@ -145,21 +174,15 @@ class LightSplit:
         )
 
     def mirrored(self) -> tuple[Floats, Floats]:
-        # Return `mirrored_radiances` of a mean (band,) [1].
-        SchemaError.raise_if(
-            not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"),
-            "the mirrored sky depends on the position of the sun, which is unknown",
-            mend="pass sun_zenith= [degree]",
-            option="give --sun-zenith",
-            code="sun-unknown",
-        )
-        if self.sky in SKIES:
-            return mirrored_radiances(self.sky, self.wavelength, self.zenith)
-        skies = (mirrored_radiances(sky, self.wavelength, self.zenith) for sky in ("clear", "overcast"))
-        above, sunward = (
-            (1.0 - self.cloud) * blue + self.cloud * grey for blue, grey in zip(*skies, strict=True)
-        )
-        return above, sunward
+        # Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
+        #
+        # Both are relative to the mean of the sky, and of a mean over lines.
+        above = relative_sky(self)
+        near_sun = relative_sky(self, max(self.zenith - MIRROR.from_sun_deg, 0.0))
+        ones = np.ones(self.wavelength.shape)
+        # without a sun the excess of a uniform or an overcast sky is not defined
+        excess = np.maximum(near_sun - above, 0.0) if np.isfinite(self.zenith) else 0.0
+        return np.asarray(ones * above), np.asarray(ones * excess)
 
 
 def split_of(
@@ -312,15 +335,23 @@ def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
 
+def _sun_azimuth_of(line: xr.Dataset, sun_zenith: float | None) -> float | None:
+    # Mean azimuth of the sun [degree]; None where it is unknown, or the clock contradicts `sun_zenith`
+    if not set(SUN_FROM) <= set(line.variables):
+        return None
+    zenith, azimuth = solar_position(*(line[name].values for name in SUN_FROM))
+    is_contradicted = sun_zenith is not None and abs(np.nanmean(zenith) - sun_zenith) > MAX_CLOCK_DEG
+    return None if is_contradicted else _mean_angle(azimuth)
+
+
 def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
     # Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
     #
     # The right-hand column is to the right of the flight.
     if heading is None and "heading" in line.variables:
         heading = _mean_angle(line["heading"].values)
-    if sun_azimuth is None and set(SUN_FROM) <= set(line.variables):
-        _, azimuth = solar_position(*(line[name].values for name in SUN_FROM))
-        sun_azimuth = _mean_angle(azimuth)
+    if sun_azimuth is None:
+        sun_azimuth = _sun_azimuth_of(line, None)
     if heading is None or sun_azimuth is None:
         return None
     away = np.radians(sun_azimuth + 180.0 - heading)
@@ -392,20 +423,6 @@ def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
     return values
 
 
-def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
-    # Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
-    #
-    # Both are relative to the mean of the sky. Only a clear sky is brighter around the sun. Takes ``sky``,
-    # one of `SKIES`, ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
-    zero = np.zeros(wavelength.shape)
-    if sky != "clear":
-        return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero
-    zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
-    above = zenith_radiance(wavelength, zenith)
-    near_sun = radiance_towards_sun(wavelength, zenith, max(zenith - MIRROR.from_sun_deg, 0.0))
-    return above, np.maximum(near_sun - above, 0.0)
-
-
 #: Attributes of reflectance that record corrections.
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
 
@@ -429,7 +446,13 @@ _MENDS = {
 
 #: Variables of a flight line or paint library that a subtraction changes; a division changes `WIDTHS`, too.
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
-WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
+WIDTHS = (
+    "reflectance_sd",
+    "reflectance_u_random",
+    "reflectance_u_systematic",
+    "reflectance_u_coat",
+    "reflectance_errors",
+)
 
 
 @takes_quantities(sun_zenith="degree")
@@ -443,7 +466,7 @@ def remove_mirrored_sky(
     sun_zenith: float | None = None,
     sky: str | None = None,
 ) -> xr.Dataset:
-    r"""Subtract the sky that a clear coat mirrors, as seen from above.
+    r"""Subtract the sky that a level clear coat mirrors to the camera.
 
     Lazy. For paint; on asphalt, which mirrors nothing, the result is too dark in the blue.
 
@@ -464,9 +487,10 @@ def remove_mirrored_sky(
     Returns
     -------
     Dataset
-        The line or library with reduced ``reflectance``, quantiles and members; the attribute
-        ``mirrored_sky_removed`` of reflectance describes the correction, and ``mirror_reflection`` is
-        "excluded".
+        The line or library with reduced ``reflectance``, quantiles and members; the uncertainty of the
+        mirrored sky is included in ``reflectance_u_systematic`` where present, and is
+        ``reflectance_u_coat`` (signature, band) of a library [1]. The attribute ``mirrored_sky_removed`` of
+        reflectance describes the correction, and ``mirror_reflection`` is "excluded".
 
     Raises
     ------
@@ -482,11 +506,14 @@ def remove_mirrored_sky(
 
     Notes
     -----
-    .. math:: \rho = \rho_{obs} - F_0 V f_{dif} L_z / \bar L
+    .. math:: \rho = \rho_{obs} - V F(\theta_v) f_{dif} L(\theta_v, \varphi_v + 180°) / \bar L
 
-    with the radiance :math:`L_z` of the zenith, which a level body part mirrors, over the mean of the sky.
-    For a tilted body part, remove the sky first, and correct the light then: mirrored light does not grow
-    with the light on the paint.
+    with Fresnel's reflectance F, :math:`F_0` at the normal, and the radiance L that a level body part mirrors
+    to the camera at the zenith angle :math:`\theta_v` and azimuth :math:`\varphi_v`, over the mean of the
+    sky. The directions are those of the line's pixels (``view_zenith`` and ``view_azimuth``, or look angles
+    with attitude and heading), and of a library's paints; where they or the azimuth of the sun are unknown,
+    the zenith is mirrored. For a tilted body part, remove the sky first, and correct the light then: mirrored
+    light does not grow with the light on the paint.
 
     Examples
     --------
@@ -499,13 +526,41 @@ def remove_mirrored_sky(
     # all corrections must follow this one: mirrored light does not scale with the light on the paint
     numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
     line = _checked(line, CORRECTIONS, numbers)
-    split = split_of(line, diffuse, sun_zenith, sky)
-    mirrored = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
+    amount = strength * sky_view_factor
+    if SIGNATURE in line["reflectance"].dims:
+        paints = list(_paints(line, diffuse, sun_zenith, sky))
+        parts = [
+            mirrored_sky(split, *_view_of(paint), strength=amount, lean_u=_lean_of(paint, LEAN_U_DEG))
+            for paint, split in paints
+        ]
+        mirrored, mirrored_u = (_by_paint(column) for column in zip(*parts, strict=True))
+        attrs = schema.LIBRARY_VARIABLES["reflectance_u_coat"].attrs
+        line = line.assign(reflectance_u_coat=mirrored_u.astype(np.float32).assign_attrs(attrs))
+        splits = [split for _, split in paints]
+        has_view = any(np.isfinite(sum(_view_of(paint))) for paint, _ in paints)
+    else:
+        splits = [split := split_of(line, diffuse, sun_zenith, sky)]
+        mirrored, mirrored_u = mirrored_sky(split, strength=amount)
+        view, azimuth = pixel_view(line), _sun_azimuth_of(line, sun_zenith)
+        if has_view := view is not None and azimuth is not None:
+            # pixels without a view mirror the zenith
+            is_known = np.isfinite(view[0] + view[1])
+            zenith = view[0].where(is_known, 0.0).astype(np.float32)
+            from_sun = (view[1].where(is_known, 0.0) + (180.0 - azimuth)).astype(np.float32)
+            relative = xr.apply_ufunc(
+                interface_reflectance, zenith, dask="parallelized", output_dtypes=[np.float64]
+            ) / interface_reflectance(0.0)
+            sky_light = split.fraction.astype(np.float32) * relative_sky(split, zenith, from_sun)
+            mirrored = (amount * relative).astype(np.float32) * sky_light
+    corrected = {name: line[name] - mirrored.astype(np.float32) for name in LEVELS if name in line.variables}
+    if (name := "reflectance_u_systematic") in line.variables:
+        corrected[name] = (line[name] ** 2 + mirrored_u.astype(np.float32) ** 2) ** 0.5
+    sources = list(dict.fromkeys(split.source for split in splits))
+    source = sources[0] if len(sources) == 1 else f"{sources[0]} to {sources[-1]}"
     text = (
-        f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
-        f"x zenith of a sky ({split.sky})"
+        f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source}) "
+        f"x sky ({splits[0].sky}) {'that a level panel mirrors' if has_view else 'at the zenith'}"
     )
-    corrected = {name: line[name] - mirrored for name in LEVELS if name in line.variables}
     return _with_correction(line, corrected, "mirrored_sky_removed", text)
 
 
@@ -645,12 +700,149 @@ def _checked(
     )
 
 
-def sky_above(split: LightSplit) -> Any:
-    # Return the radiance of the zenith over the mean of the sky [1], on the dims of the split.
-    if split.sky == "uniform":
-        return 1.0
-    clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))
-    return (1.0 - split.cloud) * clear + split.cloud * OVERCAST_ZENITH
+def relative_sky(split: LightSplit, zenith: Any = 0.0, from_sun: Any = 0.0) -> Any:
+    # Return the radiance of the sky in a direction over its mean [1], on the dims of split and direction.
+    #
+    # Takes the direction's angle from the zenith and its azimuth from the sun [degree]: numbers or
+    # DataArrays, also lazy ones of pixels, for which the clear sky is the sum of its functions
+    # (`hyperpaint.light.sky_functions`). The clear sky has the aerosol with which its diffuse fraction at
+    # 550 nm is that of the split without its clouds: a hazy sky is brighter around the sun.
+    SchemaError.raise_if(
+        not np.isfinite(split.zenith) and split.sky not in ("uniform", "overcast"),
+        "the mirrored sky depends on the position of the sun, which is unknown",
+        mend="pass sun_zenith= [degree]",
+        option="give --sun-zenith",
+        code="sun-unknown",
+    )
+    cosine = np.cos(np.radians(zenith))
+    overcast = OVERCAST_ZENITH * (1.0 + 2.0 * cosine) / 3.0
+    if split.sky in ("uniform", "overcast"):
+        return overcast if split.sky == "overcast" else 1.0 + 0.0 * cosine
+    # weights of skies with the aerosols of the nodes
+    nm, sun = split.wavelength, min(split.zenith, MAX_SUN_ZENITH_DEG)
+    green = int(np.nanargmin(np.abs(nm - 550.0)))
+    direct, diffuse = ClearSky(sun, SKY_AEROSOLS[:, None]).transmittances(nm[[green]])
+    nodes = (diffuse / (direct + diffuse))[:, 0]
+    clear_fraction = (split.fraction.isel({BAND: green}) - split.cloud) / np.maximum(1.0 - split.cloud, 1e-3)
+    weights = xr.apply_ufunc(
+        partial(linear_weights, nodes),
+        clear_fraction.reset_coords(drop=True),
+        output_core_dims=[["aerosol"]],
+        dask="parallelized",
+        output_dtypes=[np.float64],
+        dask_gufunc_kwargs={"output_sizes": {"aerosol": nodes.size}},
+    )
+    if {ALONG_TRACK, CROSS_TRACK} & set(getattr(cosine, "dims", ())):
+        shares = np.stack([clear_sky_shares(nm, sun, aerosol) for aerosol in SKY_AEROSOLS])
+        by_line = (weights * xr.DataArray(shares, dims=("aerosol", "function", BAND))).sum(
+            "aerosol", skipna=False
+        )
+        uniform, *amounts = (by_line.isel(function=k).astype(np.float32) for k in range(shares.shape[1]))
+        clear: Any = uniform
+        for amount, table in zip(amounts, function_tables(sun), strict=True):
+            clear = clear + amount * xr.apply_ufunc(
+                partial(_towards, table), zenith, from_sun, dask="parallelized", output_dtypes=[np.float32]
+            )
+    else:
+        turned = np.degrees(np.arccos(np.cos(np.radians(from_sun))))
+        by_zenith, by_azimuth = cubic_weights(SKY_ZENITH_DEG, zenith), cubic_weights(SKY_AZIMUTH_DEG, turned)
+        places = by_zenith[..., :, None] * by_azimuth[..., None, :]
+        # suns of one line are rounded, so that they share their skies
+        skies = np.tensordot(_clear_skies(round(sun, 1), tuple(nm)), places, ((2, 3), (-2, -1)))
+        dims = ("aerosol", BAND, *getattr(cosine, "dims", ()))
+        clear = (weights * xr.DataArray(skies, dims=dims)).sum("aerosol", skipna=False)
+    return (1.0 - split.cloud) * clear + split.cloud * overcast
+
+
+@lru_cache(maxsize=8)
+def _clear_skies(sun_zenith: float, wavelength: tuple[float, ...]) -> Floats:
+    # Clear skies over their means (aerosol, band, zenith, azimuth), at nodes of the directions
+    cosine, azimuth = np.cos(np.radians(SKY_ZENITH_DEG))[:, None], np.radians(SKY_AZIMUTH_DEG)
+    skies = [ClearSky(sun_zenith, aerosol) for aerosol in SKY_AEROSOLS]
+    return np.array([sky.relative_radiance(np.array(wavelength), cosine, azimuth) for sky in skies])
+
+
+def _towards(table: Floats, zenith: Floats, from_sun: Floats) -> Floats:
+    # A function of the sky (zenith, azimuth) in directions [degree]
+    turned = np.abs((from_sun + 180.0) % 360.0 - 180.0)
+    places = np.broadcast_arrays(zenith / ZENITH_STEP_DEG, turned / AZIMUTH_STEP_DEG)
+    return np.asarray(map_coordinates(table, places, np.float32, order=1, mode="nearest"))
+
+
+def mirrored_sky(
+    split: LightSplit,
+    view_zenith: float = 0.0,
+    relative_azimuth: float = 0.0,
+    *,
+    strength: float = NORMAL_REFLECTANCE,
+    index_u: float = COAT_INDEX_U,
+    lean_u: float = LEAN_U_DEG,
+) -> tuple[xr.DataArray, xr.DataArray]:
+    r"""Return the reflectance of the sky in a level coat, and its standard uncertainty [1].
+
+    Both on the dims of the split, lazy where it is lazy.
+
+    Parameters
+    ----------
+    split
+        From `split_of`.
+    view_zenith, relative_azimuth
+        Angle of the camera from the vertical, and between the azimuths of sun and camera, 0 where the sun is
+        behind the camera [degree]. NaN where unknown: then the zenith is mirrored, and the uncertainty is
+        that of this direction.
+    strength
+        Reflectance of the coat at normal incidence, :math:`F_0` [1].
+    index_u
+        Standard uncertainty of the index of the coat [1].
+    lean_u
+        Standard deviation of the lean of the body part in each direction [degree].
+
+    Notes
+    -----
+    .. math:: \rho_m = F(\theta_v) \, f_{dif} \, L(\theta_v, \varphi + 180°) / \bar L
+
+    The uncertainty combines the index; the diffuse fraction with the aerosol that follows it; the weight of
+    clouds; the lean, which turns the mirrored direction by twice its angle; and the radiance of the sky in a
+    single direction.
+    """
+    # mirrored direction, and by how much it may be turned
+    turn, zenith = 2.0 * lean_u, view_zenith if np.isfinite(view_zenith) else 0.0
+    if not np.isfinite(view_zenith + relative_azimuth):
+        turn = float(np.hypot(turn, zenith / np.sqrt(2.0) if np.isfinite(view_zenith) else UNKNOWN_VIEW_DEG))
+    is_known = np.isfinite(view_zenith + relative_azimuth) and zenith > 0.0
+    theta, phi, angle = np.radians(
+        [zenith if is_known else 0.0, 180.0 - relative_azimuth if is_known else 0.0, turn]
+    )
+    mirrored = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    outwards = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)])
+    sideways = np.array([-np.sin(phi), np.cos(phi), 0.0])
+    turned = [
+        np.cos(angle) * mirrored + sign * np.sin(angle) * across
+        for across in (outwards, sideways)
+        for sign in (1.0, -1.0)
+    ]
+    east, north, up = np.array([mirrored, *turned]).T
+    directions = (
+        xr.DataArray(np.degrees(angles), dims="turn")
+        for angles in (np.arccos(np.clip(up, 0.02, 1.0)), np.arctan2(north, east))
+    )
+    # the split as it is, with more and with less light of the sky, and with more clouds
+    signs = xr.DataArray([0.0, 1.0, -1.0, 0.0], dims="change")
+    clouds = xr.DataArray([0.0, 0.0, 0.0, 1.0], dims="change")
+    fraction = (split.fraction + signs * split.u).clip(0.0, 1.0)
+    spread = (split.cloud * (1.0 - split.cloud)) ** 0.5
+    changed = replace(split, fraction=fraction, cloud=split.cloud + clouds * 0.5 * spread)
+    coat = strength * float(interface_reflectance(zenith) / interface_reflectance(0.0))
+    values = coat * fraction * relative_sky(changed, *directions)
+    value, *differences = (
+        values.isel(change=change, turn=turn)
+        for change, turn in ((0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (0, 3), (0, 4))
+    )
+    pairs = zip(differences[::2], differences[1::2], strict=True)
+    cloud_part = values.isel(change=3, turn=0) - value
+    known_u = (4.0 * index_u / (COAT_INDEX**2 - 1.0)) ** 2 + SKY_U[split.sky == "uniform"] ** 2
+    variance = known_u * value**2 + cloud_part**2 + sum((0.5 * (more - less)) ** 2 for more, less in pairs)
+    return value, variance**0.5
 
 
 def _on_bands(values: Any) -> xr.DataArray:
@@ -705,7 +897,8 @@ def correct_coat(
     index, index_u
         Refractive index of the coat, and its standard uncertainty [1].
     lean_u
-        Standard uncertainty of the angle between sun and body part [degree].
+        Standard uncertainty of the angle between sun and body part [degree]; a library's paints with a
+        coordinate ``lean``, as proposed regions have it, use this instead.
     diffuse, sun_zenith, sky
         As for `remove_mirrored_sky`.
     view_zenith
@@ -739,8 +932,7 @@ def correct_coat(
               {1 - F(0)} \cdot \frac{1 - F(\theta_v)}{1 - F(0)}
 
     with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C combines
-    those of the index, the lean, and the diffuse fraction; the uncertainty of the mirrored sky combines the
-    index, on which F(0) depends with :math:`4 (n - 1) / (n + 1)^3`, and the fraction.
+    those of the index, the lean, and the diffuse fraction.
 
     Examples
     --------
@@ -753,35 +945,47 @@ def correct_coat(
     """
     numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
     line = _checked(line, ("coat_corrected",), numbers, of_body=True)
-    coat = (float(index), float(index_u), float(lean_u))
-    if SIGNATURE in line["reflectance"].dims:
-        shares = _paint_shares(line, coat, (diffuse, sun_zenith, sky), view_zenith)
+    coat, is_library = (float(index), float(index_u)), SIGNATURE in line["reflectance"].dims
+    if is_library:
+        # a sky that was removed from the flight line
+        is_removed = "mirrored_sky_removed" in line["reflectance"].attrs
+        needs_u, rows, removed_u = is_removed and "reflectance_u_coat" not in line.variables, [], []
+        for paint, split in _paints(line, diffuse, sun_zenith, sky):
+            incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, sun_zenith)
+            view, azimuth = _view_of(paint)
+            view = view if view_zenith is None else view_zenith
+            lean = _lean_of(paint, lean_u)
+            angle = min(float(view), 85.0) if np.isfinite(view) else 0.0
+            rows.append(_shares(split, incidence, angle, (*coat, lean)))
+            if needs_u:
+                removed_u.append(mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=lean)[1])
+        shares: Any = [_by_paint(column) for column in zip(*rows, strict=True)]
+        if needs_u:
+            line = line.assign(reflectance_u_coat=_by_paint(removed_u).astype(np.float32))
     else:
         split = split_of(line, diffuse, sun_zenith, sky)
         zenith = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(line, sun_zenith)
-        shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
-    share, share_u, mirror_u = (array.astype(np.float32) for array in shares)
+        shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, (*coat, lean_u))
+    share, share_u = (array.astype(np.float32) for array in shares)
     corrected = {name: line[name] / share for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    # index and split also determine the uncertainty of the subtracted mirrored sky
-    was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
-    coat_u = ((corrected["reflectance"] * share_u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / share
+    coat_u = corrected["reflectance"] * share_u / share
     if (name := "reflectance_u_systematic") in corrected:
         corrected[name] = (corrected[name] ** 2 + coat_u**2) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
-    result = _with_correction(line, corrected, "coat_corrected", text)
-    layers = {"coat_transmission": share, "coat_transmission_u": share_u}
-    table = schema.VARIABLES
-    if SIGNATURE in line["reflectance"].dims:
+    layers, table = {"coat_transmission": share, "coat_transmission_u": share_u}, schema.VARIABLES
+    if is_library:
+        layers["reflectance_u_coat"] = (corrected.pop("reflectance_u_coat", 0.0) ** 2 + coat_u**2) ** 0.5
         table = schema.LIBRARY_VARIABLES
-        layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
+        layers = {name: layer.transpose(SIGNATURE, BAND) for name, layer in layers.items()}
+    result = _with_correction(line, corrected, "coat_corrected", text)
     return result.assign({name: layer.assign_attrs(table[name].attrs) for name, layer in layers.items()})
 
 
 def _shares(
     split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
-) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
-    # Relative transmission C, its standard uncertainty, and the uncertainty of the mirrored sky, on the dims
-    # of the split. `coat`: index, its uncertainty, uncertainty of the lean [degree].
+) -> tuple[xr.DataArray, xr.DataArray]:
+    # Relative transmission C and its standard uncertainty, on the dims of the split. `coat`: index, its
+    # uncertainty, uncertainty of the lean [degree].
     index, index_u, lean_u = coat
 
     def share(fraction: Any, n: float, angle: float) -> Any:
@@ -802,37 +1006,40 @@ def _shares(
     leans = [abs(share(split.fraction, index, incidence + turn) - relative) for turn in (-lean_u, lean_u)]
     by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
     relative_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
-    normal_u = 4.0 * (index - 1.0) / (index + 1.0) ** 3 * index_u
-    mirror_u = sky_above(split) * np.sqrt(
-        (normal_u * split.fraction) ** 2 + (NORMAL_REFLECTANCE * split.u) ** 2
-    )
-    return relative, relative_u, mirror_u
+    return relative, relative_u
 
 
-def _paint_shares(
-    library: xr.Dataset,
-    coat: tuple[float, float, float],
-    light: tuple[Any, float | None, str | None],
-    view_zenith: float | None,
-) -> tuple[xr.DataArray, ...]:
-    # `_shares` of every paint under its sun (signature, band); `light`: arguments of `split_of`
-    diffuse, sun_zenith, sky = light
-    names = {"wavelength", *SPLIT, "sun_zenith", "view_zenith"} & set(library.variables)
-    light_variables = library[sorted(names)].reset_coords().compute()
-    rows = []
+def _paints(
+    library: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None
+) -> Iterator[tuple[xr.Dataset, LightSplit]]:
+    # Yield geometry and split of every paint under its sun; other arguments as for `split_of`
+    names = {"wavelength", *SPLIT, "sun_zenith", "view_zenith", "relative_azimuth", "lean"}
+    variables = library[sorted(names & set(library.variables))].reset_coords().compute()
     for number in range(library.sizes[SIGNATURE]):
-        paint = light_variables.isel({SIGNATURE: number})
-        zenith = sun_zenith
-        if zenith is None and "sun_zenith" in paint and np.isfinite(paint["sun_zenith"].item()):
-            zenith = float(paint["sun_zenith"].item())
+        paint = variables.isel({SIGNATURE: number})
+        zenith = _angle_of(paint, "sun_zenith") if sun_zenith is None else sun_zenith
         if "diffuse_fraction" in paint and not np.isfinite(paint["diffuse_fraction"]).any():
             paint = paint.drop_vars("diffuse_fraction")
-        split = split_of(paint, diffuse, zenith, sky)
-        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, zenith)
-        view = paint["view_zenith"].item() if view_zenith is None and "view_zenith" in paint else view_zenith
-        view_angle = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
-        rows.append(_shares(split, incidence, view_angle, coat))
-    return tuple(
-        xr.concat([array.reset_coords(drop=True) for array in arrays], SIGNATURE).transpose(SIGNATURE, BAND)
-        for arrays in zip(*rows, strict=True)
+        yield paint, split_of(paint, diffuse, zenith if np.isfinite(zenith) else None, sky)
+
+
+def _angle_of(paint: xr.Dataset, name: str) -> float:
+    # Angle of a paint [degree]; NaN where it is unknown
+    return float(paint[name].item()) if name in paint.variables else float("nan")
+
+
+def _view_of(paint: xr.Dataset) -> tuple[float, float]:
+    # Zenith angle of the camera, and its azimuth relative to the sun [degree]; NaN where unknown
+    return _angle_of(paint, "view_zenith"), _angle_of(paint, "relative_azimuth")
+
+
+def _lean_of(paint: xr.Dataset, default: float) -> float:
+    # Standard deviation of a paint's lean [degree]
+    lean = _angle_of(paint, "lean")
+    return lean if np.isfinite(lean) else default
+
+
+def _by_paint(arrays: Iterable[xr.DataArray]) -> xr.DataArray:
+    return xr.concat([array.reset_coords(drop=True) for array in arrays], SIGNATURE).transpose(
+        SIGNATURE, BAND
     )

@@ -9,7 +9,6 @@ from oracles.disort_sky import relative_sky
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 NM = np.linspace(420.0, 980.0, 12)
@@ -30,7 +29,7 @@ def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
     f = diffuse_fraction(NM, SUN)
     share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
     above = np.array([float(relative_sky(nm, SUN, np.array(1.0), np.array(0.0))) for nm in NM])
-    seen = share * body + 0.04 * f * above
+    seen = share * body + fresnel(0.0, n) * f * above
     cube = np.broadcast_to(seen[:, None].astype(np.float32), (8, NM.size, 8)).copy()
     rows = {name: ("along_track", np.full(8, value), {"units": "degree"})
             for name, value in zip(("latitude", "longitude"), PLACE, strict=True)}  # fmt: skip
@@ -67,7 +66,7 @@ def test_the_body_comes_back(n: float) -> None:
     assert attrs["specular_component"] == attrs["mirror_reflection"] == "excluded"
     assert attrs["coat_corrected"].startswith(f"clear coat of index {n:g}")
     assert "coat_corrected" in body.attrs["corrections"]
-    through = signature(seen, coat=False)
+    through = signature(seen, coat=False, coat_index=n)
     assert through.reflectance.attrs["quantity"] == "reflectance factor of the body through its clear coat"
     np.testing.assert_allclose(through.reflectance / body.reflectance, body.coat_transmission, rtol=1e-5)
     assert "coat_transmission" not in through
@@ -110,7 +109,8 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
         hp.surroundings.remove_mirrored_sky(seen, diffuse="model"), diffuse="model"
     )
     np.testing.assert_allclose(of_line.reflectance[3, :, 3], once.reflectance[0], rtol=1e-5)
-    uncertain = signature(seen, coat=False).assign(
+    bare = signature(seen, coat=False)
+    uncertain = bare.assign(
         reflectance_u_systematic=(
             ("signature", "band"),
             np.full((1, NM.size), 0.003, np.float32),
@@ -119,9 +119,14 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
     )
     u = hp.surroundings.correct_coat(uncertain)
     c, uc = u.coat_transmission, u.coat_transmission_u
-    own = u.reflectance_u_coat
-    np.testing.assert_allclose(u.reflectance_u_systematic, np.hypot(0.003 / c, own), rtol=1e-5)
-    # of white the coat's share, of black the sky in its mirror: 0.128 x 0.03 of the sky's part, and the split
-    f, above = diffuse_fraction(NM, SUN), zenith_radiance(NM, SUN)
-    mirror = above * np.hypot(0.128 * 0.03 * f, 0.04 * 0.2 * f * (1 - f))
-    np.testing.assert_allclose(own, np.hypot(u.reflectance * uc, mirror) / c, rtol=1e-5)
+    # of the body what the coat transmits, and of black paint the sky in its mirror
+    by_coat, by_sky = u.reflectance * uc / c, bare.reflectance_u_coat / c
+    np.testing.assert_allclose(u.reflectance_u_systematic, np.hypot(0.003 / c, by_coat), rtol=1e-5)
+    np.testing.assert_allclose(u.reflectance_u_coat, np.hypot(by_coat, by_sky), rtol=1e-5)
+    # the sky that was removed from a line is as uncertain
+    plain = hp.extract_signatures(seen, hp.Regions((hp.Region("hood", CORNERS),)), coat=False)
+    both = plain.assign(reflectance_u_systematic=uncertain.reflectance_u_systematic)
+    both = hp.surroundings.remove_mirrored_sky(both, diffuse="model")
+    np.testing.assert_allclose(both.reflectance_u_coat, bare.reflectance_u_coat, rtol=1e-3)
+    expected = np.hypot(0.003, both.reflectance_u_coat)
+    np.testing.assert_allclose(both.reflectance_u_systematic, expected, rtol=1e-5)

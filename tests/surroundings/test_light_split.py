@@ -31,7 +31,7 @@ def flat(**own: Any) -> xr.Dataset:
     return xr.Dataset({"reflectance": cube, **variables}, {"wavelength": ("band", NM, {"units": "nm"})})
 
 
-def recorded(fraction: float, word: str) -> xr.Dataset:
+def recorded(fraction: Any, word: str) -> xr.Dataset:
     return flat(
         diffuse_fraction=np.full((LINES, NM.size), fraction, np.float32),
         diffuse_fraction_u=np.full((LINES, NM.size), 0.02, np.float32),
@@ -57,8 +57,10 @@ def test_a_clear_sky_is_not_taken_in_silence() -> None:
 
 @pytest.mark.parametrize("word", ["overcast", "clear", "hazy"])
 def test_the_lines_own_sky_goes_first(word: str) -> None:
-    zenith = 9.0 / 7.0 if word == "overcast" else zenith_radiance(NM, 40.0)
-    np.testing.assert_allclose(taken(recorded(0.6, word)), 0.04 * 0.6 * zenith, rtol=1e-4)
+    # a clear record has the sky of its haze
+    fraction = 0.6 if word == "overcast" else diffuse_fraction(NM, 40.0, aerosol_optical_depth=0.25)
+    zenith = 9.0 / 7.0 if word == "overcast" else zenith_radiance(NM, 40.0, aerosol=0.25)
+    np.testing.assert_allclose(taken(recorded(fraction, word)), 0.04 * fraction * zenith, rtol=1e-3)
     # what the user says goes before
     np.testing.assert_allclose(taken(recorded(0.6, word), sky="uniform"), 0.024, rtol=1e-4)
     modelled = 0.04 * diffuse_fraction(NM, 40.0) * zenith_radiance(NM, 40.0)

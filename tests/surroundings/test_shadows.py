@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import scipy.optimize
+import xarray as xr
 from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.corrections import mirrored_radiances
+from hyperpaint.surroundings.corrections import split_of
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import (
     Light,
@@ -139,7 +140,8 @@ def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
 
 
 LOW_SUN = 65.0
-LOW_LIGHT = Light.under(diffuse_fraction(NM, LOW_SUN), *mirrored_radiances("clear", NM, LOW_SUN))
+BANDS = xr.Dataset(coords={"wavelength": ("band", NM)})
+LOW_LIGHT = Light.under(diffuse_fraction(NM, LOW_SUN), *split_of(BANDS, "model", LOW_SUN).mirrored())
 """Under a low sun most of the sky's light is around it, and the zenith is much bluer than the mean."""
 
 

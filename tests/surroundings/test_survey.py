@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.corrections import measured_fraction, mirrored_radiances, shadow_side_of
+from hyperpaint.surroundings.corrections import measured_fraction, shadow_side_of, split_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import Light, Matches, divide, touching
 from hyperpaint.surroundings.surveying import (
@@ -26,6 +26,7 @@ from hyperpaint.surroundings.surveying import (
 )
 
 NM = wavelengths()
+BANDS = xr.Dataset(coords={"wavelength": ("band", NM)})
 RED = smooth_edge(NM, 600.0, 0.04, 0.6)
 ASPHALT = smooth_edge(NM, 600.0, 0.07, 0.12, 150.0)
 
@@ -260,7 +261,7 @@ def test_parts_of_one_car_show_one_paint() -> None:
     cube = np.broadcast_to(ASPHALT, (80, 96, NM.size)).copy()
     cube[10:40, 20:70] = RED  # the roof
     cube[40:46, 20:70] = 0.02
-    _, sunward = mirrored_radiances("clear", NM, 30.0)
+    _, sunward = split_of(BANDS, "model", 30.0).mirrored()
     # the bonnet, in glint all over, and in the light around the sun
     cube[46:70, 20:70] = 0.9 * RED + 0.03 * direct + 0.04 * sunward * (1.0 - direct)
     line = as_line(cube, NM, snr=200.0)
@@ -306,7 +307,7 @@ def test_a_clear_sky_has_a_dark_zenith_and_a_bright_side(tmp_path: Path, shadow_
 @pytest.mark.parametrize(("zenith", "amount"), [(35.0, 0.04), (60.0, 0.03)])
 def test_the_sky_around_the_sun_in_a_coat_is_no_glint(zenith: float, amount: float) -> None:
     split = diffuse_fraction(NM, zenith)
-    above, sunward = mirrored_radiances("clear", NM, zenith)
+    above, sunward = split_of(BANDS, "model", zenith).mirrored()
     cube = np.broadcast_to(ASPHALT, (80, 96, NM.size)).copy()
     cube[10:70, 20:76] = RED + 0.04 * above * split
     cube[30:50, 36:60] += amount * sunward * split

@@ -6,7 +6,16 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import Array, Convention, Floats, MissingExtraError, SchemaError, schema
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CROSS_TRACK,
+    Array,
+    Convention,
+    Floats,
+    MissingExtraError,
+    SchemaError,
+    schema,
+)
 
 from .locating import directions, matrices, meridian_convergence, quaternions
 
@@ -115,6 +124,44 @@ def mean_view(
     mean_zenith = float(np.degrees(np.arctan2(length, np.cos(np.radians(zenith)).mean())))
     mean_azimuth = float(np.degrees(np.arctan2(east, north)) % 360.0)
     return mean_zenith, mean_azimuth if length > MIN_HORIZONTAL_PART else np.nan
+
+
+def pixel_view(line: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray] | None:
+    # Return zenith angle and azimuth of the direction to the camera (along_track, cross_track) [degree].
+    #
+    # See `mean_view`; lazy where ``reflectance`` of the line is lazy, None where they are unknown. Dims of
+    # ``line`` are named by role. Attitudes are read: they are small.
+    viewing, chunks = Viewing(line), line["reflectance"].chunksizes
+
+    def aligned(array: xr.DataArray) -> xr.DataArray:
+        array = array.reset_coords(drop=True)
+        return array.chunk({dim: chunks[dim] for dim in array.dims}) if chunks else array
+
+    if set(_VIEW_ANGLES) <= set(viewing.planes):
+        zenith, azimuth = (aligned(viewing.planes[name]) for name in _VIEW_ANGLES)
+        return zenith, azimuth
+    if viewing.look is None or "heading" not in viewing.lines:
+        return None
+    names = [*viewing.lines, *(name for name in ("latitude", "longitude") if name in line.variables)]
+    attitude = _canonical(viewing.convention, {name: line[name].values for name in names})
+    looks = [viewing.look] if viewing.ahead is None else [viewing.look, viewing.ahead]
+
+    def of_block(roll: Array, pitch: Array, heading: Array, *looks: Array) -> tuple[Floats, Floats]:
+        look, *further = np.broadcast_arrays(*looks, roll, pitch, heading)
+        ahead = further[0].ravel() if len(looks) > 1 else None
+        angles = (array.ravel() for array in further[-3:])
+        zenith, azimuth = _from_attitude(look.ravel(), ahead, viewing.boresight, *angles)
+        return zenith.reshape(look.shape), azimuth.reshape(look.shape)
+
+    view: tuple[xr.DataArray, xr.DataArray] = xr.apply_ufunc(
+        of_block,
+        *(aligned(xr.DataArray(values, dims=ALONG_TRACK)) for values in attitude),
+        *(aligned(xr.DataArray(values, dims=CROSS_TRACK)) for values in looks),
+        output_core_dims=[[], []],
+        dask="parallelized",
+        output_dtypes=[np.float64, np.float64],
+    )
+    return view
 
 
 def _declared_convention(line: xr.Dataset, problems: list[str]) -> Convention | None:

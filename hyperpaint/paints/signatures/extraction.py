@@ -51,7 +51,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.geometry.georeference.viewing import mean_view
 from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
-from hyperpaint.light.coat_transmission import COAT_INDEX
+from hyperpaint.light.coat_transmission import COAT_INDEX, interface_reflectance
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty import (
@@ -62,7 +62,13 @@ from hyperpaint.radiometry.uncertainty import (
     error_variables,
 )
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.surroundings.corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, correct_coat
+from hyperpaint.surroundings.corrections import (
+    LEVELS,
+    NORMAL_REFLECTANCE,
+    WIDTHS,
+    correct_coat,
+    remove_mirrored_sky,
+)
 
 from .line_sources import (
     RegionPixels,
@@ -127,8 +133,9 @@ def without_coat(
         return corrected
     is_corrected = xr.DataArray(has_coat, dims=SIGNATURE)
     # reflectance of the other regions stays unchanged, their transmission is certainly 1
-    uncorrected: dict[str, Any] = {name: library[name] for name in (*LEVELS, *WIDTHS) if name in corrected}
-    uncorrected |= {"coat_transmission": 1.0, "coat_transmission_u": 0.0, "reflectance_u_coat": 0.0}
+    uncorrected: dict[str, Any] = {name: library[name] for name in (*LEVELS, *WIDTHS) if name in library}
+    uncorrected |= {"coat_transmission": 1.0, "coat_transmission_u": 0.0}
+    uncorrected.setdefault("reflectance_u_coat", 0.0)
     return corrected.assign(
         {
             name: corrected[name].where(is_corrected, values).transpose(*corrected[name].dims)
@@ -376,7 +383,7 @@ def strength_of(
     members = members + removed * diffuse * above
     mean = members.mean(axis=0)
     scores, sizes, directions = np.linalg.svd(members - mean, full_matrices=False)
-    share = float(sizes[0] ** 2 / (sizes**2).sum())
+    share = float(sizes[0] ** 2 / max((sizes**2).sum(), 1e-30))  # of equal pixels 0
     if not share >= STRENGTH.min_share:
         return *unknown, (
             f"the first principal component has {share:.0%} of the pixels' variance, expected "
@@ -728,6 +735,9 @@ def extract_signatures(
             sun_zenith=library["sun_zenith"].copy(data=np.full(library.sizes[SIGNATURE], float(sun_zenith)))
         )
     library = with_coat_strength(library, sun_zenith)
+    if specular_sky:
+        strength = float(interface_reflectance(0.0, coat_index))
+        library = remove_mirrored_sky(library, strength=strength, diffuse=diffuse, sun_zenith=sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
     library = with_aspecular_geometry(library)

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,14 +19,12 @@ from hyperpaint.base import (
     Floats,
     Ints,
     MissingExtraError,
-    PaintWarning,
     Problems,
     SchemaError,
     schema,
 )
 from hyperpaint.geometry.georeference.locating import between_maps, crs_of
 from hyperpaint.geometry.georeference.viewing import Viewing
-from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
     NominalAxis,
@@ -42,7 +39,6 @@ from hyperpaint.regions.polygons import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import (
     CORRECTIONS,
     has_split,
-    remove_mirrored_sky,
     split_of,
     warn_of_contradiction,
 )
@@ -262,12 +258,6 @@ def source_of(
     size, nominal = line.sizes[BAND], to_nominal(line)
     good = variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrections))
-    if specular_sky:
-        with_light = nominal.assign(
-            {name: variables[name] for name in ("wavelength", *_LINE_VARIABLES) if name in variables}
-            | {name: line[name].reset_coords(drop=True) for name in SPLIT if name in line.variables}
-        )
-        nominal = remove_mirrored_sky(with_light, sun_zenith=sun_zenith, diffuse=diffuse)
     light = _split_of_lines(line, diffuse, sun_zenith, required=specular_sky)
     filtering = None
     if smoothing is not None:
@@ -291,7 +281,7 @@ def source_of(
     quality = {"quality": variables["quality"]} if "quality" in variables else {}
     axis = nominal_axis(line) if errors is not None and "wavelength_shift" in line.variables else None
     further = {name: variables[name] for name in names[1:] if errors is None or name != UNCERTAINTIES[1]}
-    if errors is not None and (axis is not None or smoothing is not None or specular_sky):
+    if errors is not None and (axis is not None or smoothing is not None):
         further["measured"] = variables["reflectance"]
     return Source(
         line=line,
@@ -319,9 +309,7 @@ def _split_of_lines(
     # Division of the light of every line, in memory; None where the line does not declare it
     if not required and (diffuse is None and not has_split(line)):
         return None
-    with warnings.catch_warnings():  # remove_mirrored_sky has warned already
-        warnings.simplefilter("ignore", PaintWarning)
-        split = split_of(line, diffuse, sun_zenith)
+    split = split_of(line, diffuse, sun_zenith)
     shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
     state: Any = xr.DataArray(split.state, dims=()) if isinstance(split.state, int) else split.state
     *arrays, state = dask.compute(split.fraction.variable, split.u.variable, state.variable)

@@ -1,0 +1,125 @@
+"""The sky in a level coat, by direction: against another reading of the tables, and by drawn skies."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from oracles.disort_sky import relative_sky
+
+import hyperpaint as hp
+from hyperpaint.light.sun import diffuse_fraction, solar_position
+from hyperpaint.surroundings.corrections import mirrored_sky, split_of
+
+NM = np.array([430.0, 550.0, 860.0])
+STAMP, PLACE = np.datetime64("2024-06-21T09:10", "ns"), (50.0, 0.0)
+SUN, AZIMUTH = (float(angle) for angle in solar_position(STAMP, *PLACE))
+
+
+def fresnel(angle: float, n: float = 1.5) -> float:
+    c = np.cos(np.radians(angle))
+    t = np.sqrt(1.0 - (1.0 - c**2) / n**2)
+    return float(0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((t - n * c) / (t + n * c)) ** 2))
+
+
+def truth(sun: float, view: float, turned: float, aerosol: float, n: float = 1.5) -> np.ndarray:
+    # Return what a level coat mirrors to a camera; ``turned``: azimuth from the sun to the camera
+    f = diffuse_fraction(NM, sun, aerosol_optical_depth=aerosol)
+    cosine, azimuth = np.cos(np.radians(view)), np.radians(180.0 - turned)
+    sky = [float(relative_sky(nm, sun, cosine, azimuth, aerosol=aerosol)) for nm in NM]
+    return np.asarray(fresnel(view, n) * f * sky)
+
+
+def split(sun: float, aerosol: float) -> Any:
+    line = xr.Dataset(coords={"wavelength": ("band", NM, {"units": "nm"})})
+    return split_of(line, diffuse_fraction(NM, sun, aerosol_optical_depth=aerosol), sun, "clear")
+
+
+@pytest.mark.parametrize("aerosol", [0.05, 0.1, 0.35])
+@pytest.mark.parametrize("sun", [17.0, 27.0, 60.0])
+def test_the_sky_of_the_direction(sun: float, aerosol: float) -> None:
+    for view, turned in ((0.0, 0.0), (14.0, 0.0), (14.0, 180.0), (20.0, 75.0), (20.0, 180.0)):
+        value, u = mirrored_sky(split(sun, aerosol), view, turned)
+        expected = truth(sun, view, turned, aerosol)
+        np.testing.assert_allclose(value, expected, atol=5e-4)
+        assert (u > 0.09 * value).all()
+    # an unknown view is the zenith, within its uncertainty
+    value, u = mirrored_sky(split(sun, aerosol), np.nan, np.nan)
+    np.testing.assert_allclose(value, truth(sun, 0.0, 0.0, aerosol), atol=5e-4)
+    assert (np.abs(truth(sun, 14.0, 180.0, aerosol) - value) < 2.5 * u).all()
+
+
+def test_drawn_coats_leans_and_skies_have_the_stated_spread() -> None:
+    # Index, lean and aerosol at random; haze changes the diffuse fraction with the sky
+    rng, sun, view = np.random.default_rng(5), 35.0, 12.0
+    fractions = diffuse_fraction(NM, sun, aerosol_optical_depth=0.16)
+    more = diffuse_fraction(NM, sun, aerosol_optical_depth=0.19)
+    measured = split_of(
+        xr.Dataset(coords={"wavelength": ("band", NM, {"units": "nm"})}), fractions, sun, "clear"
+    )
+    uncertain = type(measured)(**{**vars(measured), "u": measured.fraction.copy(data=more - fractions)})
+    _, u = mirrored_sky(uncertain, view, 180.0, lean_u=1.5)
+    drawn = []
+    for _ in range(150):
+        lean = np.radians(2.0 * 1.5 * rng.standard_normal(2))
+        east, north = np.sin(np.radians(view)) + lean[0], lean[1]  # the sun is in the east
+        zenith, azimuth = np.degrees(np.arcsin(np.hypot(east, north))), np.degrees(np.arctan2(north, east))
+        index, aerosol = 1.5 + 0.03 * rng.standard_normal(), 0.16 + 0.03 * rng.standard_normal()
+        drawn.append(truth(sun, zenith, 180.0 - azimuth, max(aerosol, 0.03), index))
+    spread = np.std(drawn, axis=0)
+    # the model of the sky itself adds 6 %
+    expected = np.hypot(spread, 0.06 * truth(sun, view, 180.0, 0.16))
+    np.testing.assert_allclose(u, expected, rtol=0.15)
+
+
+def panel(level: float = 0.02) -> xr.Dataset:
+    # Return a line of black paint without its mirrored sky, seen to both sides of a flight to the north
+    lines, columns = 6, 9
+    cube = np.full((lines, NM.size, columns), level, np.float32)
+    rows = {"latitude": PLACE[0], "longitude": PLACE[1], "roll": 1.0, "pitch": 0.0, "heading": 0.0}
+    degree = {"units": "degree"}
+    return xr.Dataset(
+        {
+            "reflectance": (("along_track", "band", "cross_track"), cube, {"units": "1"}),
+            "look_angle": ("cross_track", np.linspace(-20.0, 20.0, columns), degree),
+            **{name: ("along_track", np.full(lines, value), degree) for name, value in rows.items()},
+        },
+        {"wavelength": ("band", NM, {"units": "nm"}), "time": ("along_track", np.full(lines, STAMP))},
+    )
+
+
+def test_every_pixel_loses_the_sky_of_its_direction(no_compute: Any) -> None:
+    line = panel()
+    bare = hp.surroundings.remove_mirrored_sky(line, diffuse="model")
+    removed = 0.02 - bare.reflectance.values[2].T
+    views = line.look_angle.values - 1.0  # rolled to the right
+    for view, taken in zip(views, removed, strict=True):
+        # columns to the right of a flight to the north see from the west
+        camera = 270.0 if view > 0.0 else 90.0
+        np.testing.assert_allclose(taken, truth(SUN, abs(view), camera - AZIMUTH, 0.1), atol=5e-4)
+    assert np.ptp(removed[:, 0]) > 0.004
+    assert bare.reflectance.attrs["mirrored_sky_removed"].endswith("that a level panel mirrors")
+    # the same from the view of every pixel, in any chunks, and of signatures
+    view = np.broadcast_to(views, (6, 9))
+    planes = {
+        "view_zenith": (("along_track", "cross_track"), np.abs(view), {"units": "degree"}),
+        "view_azimuth": (
+            ("along_track", "cross_track"),
+            np.where(view > 0, 270.0, 90.0),
+            {"units": "degree"},
+        ),
+    }
+    located = line.drop_vars(["look_angle", "roll", "pitch", "heading"]).assign(planes)
+    chunked = located.assign(reflectance=located.reflectance.chunk(along_track=4, cross_track=5))
+    with no_compute():
+        lazy = hp.surroundings.remove_mirrored_sky(chunked, diffuse="model")
+    again = hp.surroundings.remove_mirrored_sky(located, diffuse="model")
+    np.testing.assert_array_equal(lazy.reflectance.values, again.reflectance.values)
+    np.testing.assert_allclose(again.reflectance, bare.reflectance, atol=1e-6)
+    edge = hp.Regions((hp.Region("edge", [(8, 0), (8, 5), (8.4, 5), (8.4, 0)]),))
+    signature = hp.extract_signatures(line, edge, specular_sky=True, diffuse="model", coat=False)
+    np.testing.assert_allclose(signature.reflectance[0], bare.reflectance[2, :, 8], atol=2e-4)
+    # without its azimuth a view is not used
+    upright = hp.surroundings.remove_mirrored_sky(line.drop_vars("heading"), diffuse="model")
+    np.testing.assert_allclose(0.02 - upright.reflectance[2, :, 8], truth(SUN, 0.0, 0.0, 0.1), atol=5e-4)
+    assert upright.reflectance.attrs["mirrored_sky_removed"].endswith("at the zenith")
