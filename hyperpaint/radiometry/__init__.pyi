@@ -5,8 +5,7 @@ from .counts_to_reflectance import (
     slab as slab,
     white_reference as white_reference,
 )
-from .panel_surfaces import panel_factor as panel_factor
-from .panels import Panel as Panel
+from .panels import Panel as Panel, panel_factor as panel_factor
 from .pixel_reading import coarse as coarse, pixels as pixels
 from .spectral_axis import (
     at as at,

@@ -61,13 +61,15 @@ from hyperpaint.light.illumination import UNSTABLE_CHANGE, Tilt, replace_record
 
 from . import slabs
 from .darks import SAME_EXPOSURE_SHARE, darks_of_lines
-from .panel_surfaces import LAMBERTIAN, is_lambertian, panel_factor
 from .panels import (
     CLOSURE,
+    LAMBERTIAN,
     Panel,
     closure_variables,
     declared_panels,
     declared_scale,
+    is_lambertian,
+    panel_factor,
     panel_inputs,
     several_panels,
     without_panels,

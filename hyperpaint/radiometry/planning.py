@@ -65,14 +65,15 @@ from hyperpaint.light.sun import solar_position
 
 from . import slabs
 from .darks import between_stamps, dark_weights, darks_of_lines
-from .panel_surfaces import is_lambertian, panel_factor
 from .panels import (
     REFUSED,
     RULES as PANEL_RULES,
     Panel,
     PanelContext,
+    is_lambertian,
     judge_panels,
     panel_correction,
+    panel_factor,
     scale_of_factors,
     usable_panels,
 )

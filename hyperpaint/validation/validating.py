@@ -58,7 +58,7 @@ from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.responses import Responses, matching_operator
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.paints.band_ratios import covariance
-from hyperpaint.radiometry.panel_surfaces import LAMBERTIAN, check_surface, is_lambertian, panel_factor
+from hyperpaint.radiometry.panels import LAMBERTIAN, check_surface, is_lambertian, panel_factor
 
 #: Metres in a degree of latitude.
 _METRES_PER_DEGREE = 111_195.0

@@ -11,7 +11,7 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.radiometry import panel_closure, panel_factor, panel_surfaces
+from hyperpaint.radiometry import panel_closure, panel_factor, panels
 
 # Factors of white sintered PTFE over its reflectance for light from 8 degrees, mean of 532, 633 and 1064 nm,
 # evaluated from the expansion of T. A. Germer, Appl. Opt. 56, 9333 (2017): zenith angles of light and view,
@@ -52,7 +52,7 @@ def test_light_and_view_can_be_exchanged() -> None:
 
 
 def test_the_hemisphere_reflects_the_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(panel_surfaces, "_LIMITS", {})
+    monkeypatch.setattr(panels, "_LIMITS", {})
     zenith, azimuth = np.arange(0.5, 90.0), np.arange(5.0, 180.0, 10.0)
     weight = np.sin(2.0 * np.radians(zenith))
     for light in (0.0, 8.0, 20.0, 30.0, 45.0):
