@@ -15,6 +15,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -84,73 +85,69 @@ _MIN_DOWNWARD = 0.05
 _FLAT = _EPS = 1e-12
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Thresholds of the checks; set on simulated flights."""
-
+#: Thresholds of the checks; set on simulated flights.
+RULES = SimpleNamespace(
     # --- motion of a picture
-    #: Number of zones, parts of a row with a shift of their own, and their width if there are enough columns.
-    min_zones: int = 4
-    max_zones: int = 12
-    zone_columns: int = 64
-    min_columns: int = 12  #: minimum width of a zone
-    reach_px: int = 8  #: largest shift between rows in the search
-    block_rows: int = 512  #: rows compared at a time
-    level_columns: int = 5  #: width of the running mean that is subtracted from rows
-    max_steady_intervals: float = 1.5  #: interval of lines above which frames are missing [median intervals]
+    # Number of zones, parts of a row with a shift of their own, and their width if there are enough columns.
+    min_zones=4,
+    max_zones=12,
+    zone_columns=64,
+    min_columns=12,  # minimum width of a zone
+    reach_px=8,  # largest shift between rows in the search
+    block_rows=512,  # rows compared at a time
+    level_columns=5,  # width of the running mean that is subtracted from rows
+    max_steady_intervals=1.5,  # interval of lines above which frames are missing [median intervals]
     # --- conventions
-    min_parts: int = 500  #: parts of rows that must be comparable
-    #: Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
-    log_odds: float = 10.0
-    log_odds_against: float = 6.0  #: prior logarithm of the odds that a declaration is right
-    #: Ratio of fitted and recorded height above which the record is wrong; leaning structures bias the fit.
-    height_ratio: float = 1.4
-    height_factors: tuple[float, ...] = tuple(np.geomspace(1 / 4, 4.0, 49).tolist())
-    clock_sd: float = 3.0  #: standard deviations of a fitted offset above which the clock is wrong
-    #: Range and step of the search for another clock offset, where another convention fits better.
-    clock_search_s: float = 1.0
-    clock_step_s: float = 0.02
+    min_parts=500,  # parts of rows that must be comparable
+    # Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
+    log_odds=10.0,
+    log_odds_against=6.0,  # prior logarithm of the odds that a declaration is right
+    # Ratio of fitted and recorded height above which the record is wrong; leaning structures bias the fit.
+    height_ratio=1.4,
+    height_factors=tuple(np.geomspace(1 / 4, 4.0, 49).tolist()),
+    clock_sd=3.0,  # standard deviations of a fitted offset above which the clock is wrong
+    # Range and step of the search for another clock offset, where another convention fits better.
+    clock_search_s=1.0,
+    clock_step_s=0.02,
     # --- fit of expected to measured motion
-    clip_sd: float = 4.0  #: standard deviations at which the cost of a residual is limited
-    max_slant: float = 0.3  #: slant of structures on the ground [pixel sideways per pixel forward]
-    max_lag_s: float = 0.005  #: allowed clock lag while conventions are compared
-    max_lag_lines: int = 64  #: largest distance of lines for correlations of residuals
-    time_step_s: float = 0.002  #: step of numerical derivatives in time
-    max_tilt_deg: float = 2.0  #: prior error of the boresight's pitch
-    turn_step_deg: float = 1.0  #: step of numerical derivatives in pitch
-    #: Lines of a block, over which structures on the ground have one slant, and minimum number of blocks.
-    block_lines: int = 128
-    min_blocks: int = 8
-    #: Shift by structures on the ground that can be correlated with the platform's motion [pixel]: on calm
-    #: simulated flights offsets scatter three times as much as blocks of lines suggest.
-    unexplained_px: float = 0.006
-    outlier_sd: float = 2.5  #: standard deviations beyond which a shift is excluded from a clock fit
-    smooth_lines: int = 9  #: lines over which motion is averaged
-    max_steps: int = 12
-    converged_sd: float = 0.1  #: largest last step, relative to the uncertainty
-    max_step_s: float = 0.03
+    clip_sd=4.0,  # standard deviations at which the cost of a residual is limited
+    max_slant=0.3,  # slant of structures on the ground [pixel sideways per pixel forward]
+    max_lag_s=0.005,  # allowed clock lag while conventions are compared
+    max_lag_lines=64,  # largest distance of lines for correlations of residuals
+    time_step_s=0.002,  # step of numerical derivatives in time
+    max_tilt_deg=2.0,  # prior error of the boresight's pitch
+    turn_step_deg=1.0,  # step of numerical derivatives in pitch
+    # Lines of a block, over which structures on the ground have one slant, and minimum number of blocks.
+    block_lines=128,
+    min_blocks=8,
+    # Shift by structures on the ground that can be correlated with the platform's motion [pixel]: on calm
+    # simulated flights offsets scatter three times as much as blocks of lines suggest.
+    unexplained_px=0.006,
+    outlier_sd=2.5,  # standard deviations beyond which a shift is excluded from a clock fit
+    smooth_lines=9,  # lines over which motion is averaged
+    max_steps=12,
+    converged_sd=0.1,  # largest last step, relative to the uncertainty
+    max_step_s=0.03,
     # --- offset between attitude and picture
-    search_step_s: float = 0.01  #: step of the first search; platforms rotate at a few hertz at most
-    #: Largest misfit at the best offset, relative to the misfit of a platform without rotation.
-    max_misfit: float = 0.97
-    #: Smallest ratio of measured to expected shifts, and of expected to measured shifts, for one motion.
-    min_amplitude: float = 0.75
-    rival_gain: float = 0.3  #: share of the best offset's gain that a rival offset must lack
-    rival_distance_s: float = 0.15  #: distance from the best offset beyond which an offset is a rival
+    search_step_s=0.01,  # step of the first search; platforms rotate at a few hertz at most
+    # Largest misfit at the best offset, relative to the misfit of a platform without rotation.
+    max_misfit=0.97,
+    # Smallest ratio of measured to expected shifts, and of expected to measured shifts, for one motion.
+    min_amplitude=0.75,
+    rival_gain=0.3,  # share of the best offset's gain that a rival offset must lack
+    rival_distance_s=0.15,  # distance from the best offset beyond which an offset is a rival
     # --- offset between irradiance and brightness of lines
-    min_light_change: float = 0.02  #: minimum relative change of the light over the line
-    bins_an_interval: float = 2.0  #: time bins per interval of the irradiance record
-    min_bins: int = 12
-    offset_steps: int = 400
-    light_blocks: int = 12  #: blocks of lines that the jackknife leaves out in turn
-    min_light_odds: float = 10.0  #: minimum log odds over constant light
-    #: Distance beyond which an offset that fits nearly as well is a rival: standard deviations, and seconds.
-    light_rival_sd: float = 5.0
-    light_rival_s: float = 0.5
-    max_light_lag_s: float = 1.0  #: offset of the irradiance record that `navigation_findings` accepts
-
-
-RULES = Rules()
+    min_light_change=0.02,  # minimum relative change of the light over the line
+    bins_an_interval=2.0,  # time bins per interval of the irradiance record
+    min_bins=12,
+    offset_steps=400,
+    light_blocks=12,  # blocks of lines that the jackknife leaves out in turn
+    min_light_odds=10.0,  # minimum log odds over constant light
+    # Distance beyond which an offset that fits nearly as well is a rival: standard deviations, and seconds.
+    light_rival_sd=5.0,
+    light_rival_s=0.5,
+    max_light_lag_s=1.0,  # offset of the irradiance record that `navigation_findings` accepts
+)
 
 
 @dataclass(frozen=True)

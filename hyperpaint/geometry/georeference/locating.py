@@ -16,6 +16,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import dask
@@ -1648,29 +1649,25 @@ _AROUND_S = 3.0
 _MIN_PICKING_PX = 0.05
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Thresholds of a solution, and where they come from."""
-
-    #: Largest factor by which the other solved parameters may widen the uncertainty of a parameter.
-    max_widening: float = 30.0
-    #: Standard deviations of picking beyond which a point is left out: 1 in 25,000 valid points.
-    outlier_sd: float = 4.5
-    max_outlier_rounds: int = 10
-    #: Tested clock offsets relative to the start value [s]: every period of a wobble has a local minimum.
-    clock_search_s: tuple[float, ...] = tuple((np.arange(-10, 11) * 0.1).tolist())
-    max_clock_candidates: int = 3
-    #: Largest residual of a candidate relative to the best one.
-    candidate_ratio: float = 3.0
-    soft_miss_px: float = 5.0  #: misses above this have less weight in the search of the clock
-    #: Smallest accepted ratio of the residual of another clock offset to that of the best one.
-    rival_ratio: float = 1.3
-    same_clock_s: float = 0.05  #: clock offsets nearer than this are equal
-    #: Deviation from the median miss above which a point is a blunder [fields of view].
-    blunder_fields: float = 2.0
-
-
-RULES = Rules()
+#: Thresholds of a solution, and where they come from.
+RULES = SimpleNamespace(
+    # Largest factor by which the other solved parameters may widen the uncertainty of a parameter.
+    max_widening=30.0,
+    # Standard deviations of picking beyond which a point is left out: 1 in 25,000 valid points.
+    outlier_sd=4.5,
+    max_outlier_rounds=10,
+    # Tested clock offsets relative to the start value [s]: every period of a wobble has a local minimum.
+    clock_search_s=tuple((np.arange(-10, 11) * 0.1).tolist()),
+    max_clock_candidates=3,
+    # Largest residual of a candidate relative to the best one.
+    candidate_ratio=3.0,
+    soft_miss_px=5.0,  # misses above this have less weight in the search of the clock
+    # Smallest accepted ratio of the residual of another clock offset to that of the best one.
+    rival_ratio=1.3,
+    same_clock_s=0.05,  # clock offsets nearer than this are equal
+    # Deviation from the median miss above which a point is a blunder [fields of view].
+    blunder_fields=2.0,
+)
 
 
 @dataclass(frozen=True)
