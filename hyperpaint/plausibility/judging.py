@@ -39,116 +39,84 @@ from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.radiometry.darks import SAME_EXPOSURE_SHARE, darks_of_lines
 from hyperpaint.radiometry.planning import has_white, light_level
 
+#: Limits of a plausible product, each between right and wrong collects of seeds 0 to 9.
+#:
+#: docs/guide/plausibility.md states the alarms over right collects of 38 kinds: cloud, overcast, dusk, sun at
+#: 75 degrees, snow, water, dark asphalt, bright roofs, one column, 10 to 16 bits, a real line scanner.
+RULES = SimpleNamespace(
+    # Wavelengths of the compared bands [nm]: outside, light or responsivity are weak.
+    judged_nm=(420.0, 950.0),
+    # Highest reflectance of a surface whose bands differ, such as vegetation, soil or coloured paint, and of
+    # a grey one such as snow, roofs and white paint [1].
+    most_coloured=1.05,
+    most_grey=1.4,
+    # Reflectance of the darkest over that of the brightest tenth of the bands from which a pixel is grey [1]:
+    # snow has 0.7 and more, white paint 0.8.
+    grey=0.6,
+    # Accepted share of pixels above these limits [1]; glint and mirrors fill less.
+    bright_share=0.04,
+    # Reflectance of the brightest tenth of the pixels above which a line is refused [1]: level snow has 1.0,
+    # slopes of it 1.15.
+    refused_level=1.6,
+    # Slope towards the sun whose additional light is accepted [degree], and maximum factor of it.
+    slope_deg=6.0,
+    most_slope=2.5,
+    # Reflectance of the brightest pixels in their brightest bands below which a line is doubtful, and refused
+    # [1]: water and wet asphalt mirror 0.02 of the sky; a dusk of 0.03 of the declared light has 0.010.
+    least_top=0.008,
+    refused_top=0.003,
+    # Reflectance at which the first band saturates, below which a line is doubtful [1]: ordinary exposures
+    # reach 0.8; long ones, for dark water, are told as well.
+    least_full_scale=0.2,
+    # Median reflectance of ordinary ground, from which the factor of a slip is estimated [1].
+    ordinary_level=0.2,
+    # Range of factors around the estimate within which slips are named [1].
+    slip_range=2.5,
+    # Smallest common divisor of counts that is reported, and range of reflectance of the brightest pixels in
+    # which counts with a divisor are nevertheless right [1].
+    multiple=4,
+    known_top=(0.1, 1.05),
+    # Light above which elements are compared [count].
+    least_light=20.0,
+    # Minimum number of differences between elements.
+    pattern_elements=200,
+    # Share of the gain's pattern in the scene below which the gain is not of these elements, and above which
+    # another order of the gain explains it [1]: right gains have 0.95 to 1.03, foreign ones -0.3 to 0.3.
+    foreign_slope=0.4,
+    matching_slope=0.7,
+    # Distance of a slope from its expected value [standard uncertainties].
+    significance=5.0,
+    # Minimum range of a judged smile [nm], and share of it in the scene below which its sign is wrong [1]:
+    # 0.7 to 1.4 for right ones, 0 for scenes without smile, -0.7 to -1.0 for the wrong sign.
+    smile_nm=0.4,
+    wrong_smile=-0.4,
+    # Median over the pixels of the logarithm of a band's reflectance over that of its two neighbours from
+    # which the band is named [1]; range in which it is judged, and range within it that is not, where
+    # wavelengths of camera and record that differ leave the oxygen band [nm].
+    jump=0.18,
+    jump_nm=(430.0, 880.0),
+    not_judged_nm=(750.0, 775.0),
+    # Median spacing of bands [nm] above which the limit increases with its square, as red edges do (0.15 at
+    # 10 nm, 0.01 at 2 nm), and above which no band is judged.
+    usual_nm=10.0,
+    widest_nm=16.0,
+    # Minimum step of the logarithm of radiance between neighbouring columns [1].
+    step=0.08,
+    # Largest standard deviation of a step over bands (with a third of 1), and change in a part of blocks of
+    # lines, relative to the step and a half [1]: an edge of the slit dims all bands of all lines alike (0.002
+    # and 0.006); edges of surfaces along the track change colour (0.01 to 0.03), others wander.
+    step_colour=0.015,
+    step_change=0.014,
+    step_part=0.7,
+    # Minimum of a strong step, and its limits: without colour (0.001 to 0.007) it is an edge of the slit even
+    # where the ground beside it changes (0.11); shadows of this depth change more (0.3).
+    strong_step=0.3,
+    strong_colour=0.008,
+    strong_change=0.07,
+    # Minimum number of blocks of lines.
+    step_blocks=4,
+)
 
-@dataclass(frozen=True)
-class Rules:
-    """Limits of a plausible product, each between right and wrong collects of seeds 0 to 9.
-
-    docs/guide/plausibility.md states the alarms over right collects of 38 kinds: cloud, overcast, dusk, sun
-    at 75 degrees, snow, water, dark asphalt, bright roofs, one column, 10 to 16 bits, a real line scanner.
-
-    Attributes
-    ----------
-    judged_nm
-        Wavelengths of the compared bands [nm]: outside, light or responsivity are weak.
-    most_coloured, most_grey
-        Highest reflectance of a surface whose bands differ, such as vegetation, soil or coloured paint, and
-        of a grey one such as snow, roofs and white paint [1].
-    grey
-        Reflectance of the darkest over that of the brightest tenth of the bands from which a pixel is grey
-        [1]: snow has 0.7 and more, white paint 0.8.
-    bright_share
-        Accepted share of pixels above these limits [1]; glint and mirrors fill less.
-    refused_level
-        Reflectance of the brightest tenth of the pixels above which a line is refused [1]: level snow has
-        1.0, slopes of it 1.15.
-    slope_deg
-        Slope towards the sun whose additional light is accepted [degree], and maximum factor of it.
-    least_top, refused_top
-        Reflectance of the brightest pixels in their brightest bands below which a line is doubtful, and
-        refused [1]: water and wet asphalt mirror 0.02 of the sky; a dusk of 0.03 of the declared light has
-        0.010.
-    least_full_scale
-        Reflectance at which the first band saturates, below which a line is doubtful [1]: ordinary exposures
-        reach 0.8; long ones, for dark water, are told as well.
-    ordinary_level
-        Median reflectance of ordinary ground, from which the factor of a slip is estimated [1].
-    slip_range
-        Range of factors around the estimate within which slips are named [1].
-    multiple, known_top
-        Smallest common divisor of counts that is reported, and range of reflectance of the brightest pixels
-        in which counts with a divisor are nevertheless right [1].
-    least_light
-        Light above which elements are compared [count].
-    pattern_elements
-        Minimum number of differences between elements.
-    foreign_slope, matching_slope
-        Share of the gain's pattern in the scene below which the gain is not of these elements, and above
-        which another order of the gain explains it [1]: right gains have 0.95 to 1.03, foreign ones -0.3 to
-        0.3.
-    significance
-        Distance of a slope from its expected value [standard uncertainties].
-    smile_nm, wrong_smile
-        Minimum range of a judged smile [nm], and share of it in the scene below which its sign is wrong [1]:
-        0.7 to 1.4 for right ones, 0 for scenes without smile, -0.7 to -1.0 for the wrong sign.
-    jump, jump_nm, not_judged_nm
-        Median over the pixels of the logarithm of a band's reflectance over that of its two neighbours from
-        which the band is named [1]; range in which it is judged, and range within it that is not, where
-        wavelengths of camera and record that differ leave the oxygen band [nm].
-    usual_nm, widest_nm
-        Median spacing of bands [nm] above which the limit increases with its square, as red edges do (0.15 at
-        10 nm, 0.01 at 2 nm), and above which no band is judged.
-    step
-        Minimum step of the logarithm of radiance between neighbouring columns [1].
-    step_colour, step_change, step_part
-        Largest standard deviation of a step over bands (with a third of 1), and change in a part of blocks of
-        lines, relative to the step and a half [1]: an edge of the slit dims all bands of all lines alike
-        (0.002 and 0.006); edges of surfaces along the track change colour (0.01 to 0.03), others wander.
-    strong_step, strong_colour, strong_change
-        Minimum of a strong step, and its limits: without colour (0.001 to 0.007) it is an edge of the slit
-        even where the ground beside it changes (0.11); shadows of this depth change more (0.3).
-    step_blocks
-        Minimum number of blocks of lines.
-    """
-
-    judged_nm: tuple[float, float] = (420.0, 950.0)
-    most_coloured: float = 1.05
-    most_grey: float = 1.4
-    grey: float = 0.6
-    bright_share: float = 0.04
-    refused_level: float = 1.6
-    slope_deg: float = 6.0
-    most_slope: float = 2.5
-    least_top: float = 0.008
-    refused_top: float = 0.003
-    least_full_scale: float = 0.2
-    ordinary_level: float = 0.2
-    slip_range: float = 2.5
-    multiple: int = 4
-    known_top: tuple[float, float] = (0.1, 1.05)
-    least_light: float = 20.0
-    pattern_elements: int = 200
-    foreign_slope: float = 0.4
-    matching_slope: float = 0.7
-    significance: float = 5.0
-    smile_nm: float = 0.4
-    wrong_smile: float = -0.4
-    jump: float = 0.18
-    jump_nm: tuple[float, float] = (430.0, 880.0)
-    not_judged_nm: tuple[float, float] = (750.0, 775.0)
-    usual_nm: float = 10.0
-    widest_nm: float = 16.0
-    step: float = 0.08
-    step_colour: float = 0.015
-    step_change: float = 0.014
-    step_part: float = 0.7
-    strong_step: float = 0.3
-    strong_colour: float = 0.008
-    strong_change: float = 0.07
-    step_blocks: int = 4
-
-
-RULES = Rules()
 
 #: Frequent slips of scale: factor [1], slip, and whether it is one of the irradiance record.
 _SLIPS = (

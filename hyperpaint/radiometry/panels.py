@@ -17,6 +17,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
@@ -250,74 +251,50 @@ _SATURATED, _PARTLY_OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (
 )
 
 
-@dataclass(frozen=True)
-class PanelRules:
-    """Thresholds above which a region is not the declared panel.
-
-    Attributes
-    ----------
-    outlier_sd
-        Robust standard deviations from the median of the pixels, in brightness or colour, above which a pixel
-        does not show the panel [1]. None of 1000 normal pixels is beyond 6.
-    least_departure
-        Departure below which a pixel is always kept [1]: one in twenty such pixels changes the mean by
-        a thousandth.
-    noticed_share
-        Share of saturated pixels, or of pixels that do not show the panel, above which it is reported [1].
-    most_saturated
-        Share of saturated pixels up to which a band has a mean [1]: above a half, the unsaturated part of the
-        distribution does not contain its median.
-    least_used
-        Minimum share of pixels that show the panel [1]: with fewer, the median may belong to another surface.
-    most_error
-        Standard error of the mean of the pixels above which they are uneven [1].
-    refused_error
-        Standard error above which the panel is refused unless its declared uncertainty covers it [1]: half of
-        a panel in a shade of 40 % has 0.025.
-    least_lean
-        Change of the light by a panel's attitude above which it is reported [1].
-    lean_significance
-        Minimum change in units of its standard error [1].
-    lean_misfit
-        Residuals of the factor, relative to the spread by the change, up to which attitude
-        explains its shape [1].
-    least_contrast
-        Minimum difference of the direct share between bands for a detectable change by attitude [1].
-    gain_u, irradiance_u
-        Relative standard uncertainties if the line has none [1]: of a lamp calibration a year old, and
-        of a calibrated field spectrometer with a cosine receptor.
-    coverage
-        Accepted distance of a factor from 1 in standard uncertainties [1].
-    most_factor
-        Factor of a panel, or its inverse, above which it is refused [1]: the certificate is of another panel
-        or unit, or the scale of the line is wrong; stained and aged panels have 0.8 and more.
-    off_bands
-        Share of bands beyond ``coverage`` above which it is reported [1].
-    repeatability
-        Relative standard uncertainty of a panel that is laid out again [1]: half a degree from level changes
-        direct light by 0.5 % with the sun at 30 degrees.
-    """
-
-    outlier_sd: float = 6.0
-    least_departure: float = 0.02
-    noticed_share: float = 0.01
-    most_saturated: float = 0.5
-    least_used: float = 0.5
-    most_error: float = 0.01
-    refused_error: float = 0.02
-    least_lean: float = 0.01
-    lean_significance: float = 5.0
-    lean_misfit: float = 0.3
-    least_contrast: float = 0.08
-    gain_u: float = 0.03
-    irradiance_u: float = 0.05
-    coverage: float = 2.0
-    most_factor: float = 2.0
-    off_bands: float = 0.1
-    repeatability: float = 0.005
-
-
-RULES = PanelRules()
+#: Thresholds above which a region is not the declared panel.
+RULES = SimpleNamespace(
+    # Robust standard deviations from the median of the pixels, in brightness or colour, above which a pixel
+    # does not show the panel [1]. None of 1000 normal pixels is beyond 6.
+    outlier_sd=6.0,
+    # Departure below which a pixel is always kept [1]: one in twenty such pixels changes the mean by a
+    # thousandth.
+    least_departure=0.02,
+    # Share of saturated pixels, or of pixels that do not show the panel, above which it is reported [1].
+    noticed_share=0.01,
+    # Share of saturated pixels up to which a band has a mean [1]: above a half, the unsaturated part of the
+    # distribution does not contain its median.
+    most_saturated=0.5,
+    # Minimum share of pixels that show the panel [1]: with fewer, the median may belong to another surface.
+    least_used=0.5,
+    # Standard error of the mean of the pixels above which they are uneven [1].
+    most_error=0.01,
+    # Standard error above which the panel is refused unless its declared uncertainty covers it [1]: half of a
+    # panel in a shade of 40 % has 0.025.
+    refused_error=0.02,
+    # Change of the light by a panel's attitude above which it is reported [1].
+    least_lean=0.01,
+    # Minimum change in units of its standard error [1].
+    lean_significance=5.0,
+    # Residuals of the factor, relative to the spread by the change, up to which attitude explains its shape
+    # [1].
+    lean_misfit=0.3,
+    # Minimum difference of the direct share between bands for a detectable change by attitude [1].
+    least_contrast=0.08,
+    # Relative standard uncertainties if the line has none [1]: of a lamp calibration a year old, and of a
+    # calibrated field spectrometer with a cosine receptor.
+    gain_u=0.03,
+    irradiance_u=0.05,
+    # Accepted distance of a factor from 1 in standard uncertainties [1].
+    coverage=2.0,
+    # Factor of a panel, or its inverse, above which it is refused [1]: the certificate is of another panel or
+    # unit, or the scale of the line is wrong; stained and aged panels have 0.8 and more.
+    most_factor=2.0,
+    # Share of bands beyond ``coverage`` above which it is reported [1].
+    off_bands=0.1,
+    # Relative standard uncertainty of a panel that is laid out again [1]: half a degree from level changes
+    # direct light by 0.5 % with the sun at 30 degrees.
+    repeatability=0.005,
+)
 
 
 class PanelContext(NamedTuple):

@@ -9,7 +9,8 @@ import threading
 import uuid
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
@@ -895,24 +896,17 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
 # --- check that irradiance is plausible daylight and has all channels, before reflectance is ---------------
 
 
-@dataclass(frozen=True)
-class LightRules:
-    # Limits of an irradiance record that fits the sky over a flight.
-    #
-    # least_share, most_share
-    #     Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
-    #     transmits 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
-    # max_zenith
-    #     Zenith angle of the sun up to which the clear sky is modelled [degree].
-    # most_low_sun
-    #     Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
-    least_share: float = 0.015
-    most_share: float = 1.8
-    max_zenith: float = 80.0
-    most_low_sun: float = 0.3
-
-
-RULES = LightRules()
+#: Limits of an irradiance record that fits the sky over a flight.
+RULES = SimpleNamespace(
+    # Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm transmits
+    # 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
+    least_share=0.015,
+    most_share=1.8,
+    # Zenith angle of the sun up to which the clear sky is modelled [degree].
+    max_zenith=80.0,
+    # Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
+    most_low_sun=0.3,
+)
 
 
 class LightLevel(NamedTuple):

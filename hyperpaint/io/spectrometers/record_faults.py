@@ -3,7 +3,7 @@
 The spectra of a record judge one another: no model of the sky, no place and no time of the day enter.
 """
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,90 +20,67 @@ from hyperpaint.base import (
     warn_user,
 )
 
-
-@dataclass(frozen=True)
-class RecordRules:
-    """Limits beyond which values of an irradiance record are not daylight.
-
-    Alarms were counted on the real records of the project, and on 160 simulated right ones (clear, dusk,
-    broken cloud, noise of 0.2 to 2 %, 2 to 4 digits, intervals of 1 to 60 s): none.
-
-    Attributes
-    ----------
-    max_irradiance
-        Irradiance of a single channel [W m-2 nm-1]: the sun above the atmosphere has at most 2.2, sides of
-        clouds add half of it. A higher value is a fill value where ``spike`` says so, too: it tells fill
-        values from wrong units.
-    spike
-        Value over the median of the record [1]: the brightest channels have 2.
-    flat_share
-        Share of the channels of a scan that hold one value [1]: no light has the same irradiance at all
-        wavelengths, a fill value has.
-    window
-        Number of neighbouring channels to which a stuck channel is compared.
-    missing_share
-        Share of the scans without a value from which a channel is left out of the record [1]; below, the
-        scans are left out instead.
-    clipped_channels, clipped_excess
-        Number of neighbouring channels that equal the maximum of a scan, and all such channels over the
-        channels of the next most frequent value: rounding to 2 or 3 digits makes all values frequent.
-    stuck_scans, stuck_steps
-        Number of unequal scans from which a constant channel is judged, and change of its neighbours between
-        two scans in steps of their rounding: within fewer steps rounding holds a value.
-    alternation
-        Difference of even and odd channels [1]: 0.01 in real records.
-    scan_change, scan_sds, sure_change
-        Change of a scan against its neighbours in an interval of 100 nm, relative [1], and over the usual
-        change of the record: under broken clouds every scan is unlike its neighbours. The limit is at most
-        ``sure_change``, since few scans do not show what is usual.
-    steady, weather, most
-        Change from the scan before to the scan after, and between the quantiles ``most`` of the next
-        ``weather`` scans on both sides, over that of the scan between [1].
-    least_scans
-        Number of scans from which scans are compared with their neighbours.
-    scan_s
-        Longest time between the scans before and after [s]: a cloud of 100 m needs 7 s or more to pass.
-    dark_scan, bright_scan
-        Relative level of a scan between two slow neighbours, and of the first and the last scan [1]: clouds
-        leave 0.2 of a clear sky, and gaps between them give back no more than 5 times.
-    scan_share
-        Share of the scans that may be unlike their neighbours [1], at least two: more is weather.
-    step, step_colour, step_steady
-        Change of level from one scan to the next [1]; difference of this change among intervals of 100 nm,
-        over it: clouds take sunlight, which is redder than skylight, so that theirs is 0.2 and more; change
-        within the three scans before and the three after, over it.
-    least_share
-        Share of channels, and of scans, that must remain [1].
-    """
-
-    max_irradiance: float = 5.0
-    spike: float = 4.0
-    flat_share: float = 0.9
-    window: int = 41
-    missing_share: float = 0.1
-    clipped_channels: int = 5
-    clipped_excess: float = 3.0
-    stuck_scans: int = 6
-    stuck_steps: float = 4.0
-    alternation: float = 0.05
-    scan_change: float = 0.05
-    scan_sds: float = 8.0
-    sure_change: float = 0.5
-    steady: float = 0.25
-    weather: int = 8
-    most: tuple[float, float] = (0.15, 0.85)
-    least_scans: int = 5
-    scan_s: float = 6.0
-    dark_scan: float = 0.15
-    bright_scan: float = 6.0
-    scan_share: float = 0.05
-    step: float = 0.05
-    step_colour: float = 0.1
-    step_steady: float = 0.15
-    least_share: float = 0.6
+#: Limits beyond which values of an irradiance record are not daylight.
+#:
+#: Alarms were counted on the real records of the project, and on 160 simulated right ones (clear, dusk,
+#: broken cloud, noise of 0.2 to 2 %, 2 to 4 digits, intervals of 1 to 60 s): none.
+RULES = SimpleNamespace(
+    # Irradiance of a single channel [W m-2 nm-1]: the sun above the atmosphere has at most 2.2, sides of
+    # clouds add half of it. A higher value is a fill value where ``spike`` says so, too: it tells fill values
+    # from wrong units.
+    max_irradiance=5.0,
+    # Value over the median of the record [1]: the brightest channels have 2.
+    spike=4.0,
+    # Share of the channels of a scan that hold one value [1]: no light has the same irradiance at all
+    # wavelengths, a fill value has.
+    flat_share=0.9,
+    # Number of neighbouring channels to which a stuck channel is compared.
+    window=41,
+    # Share of the scans without a value from which a channel is left out of the record [1]; below, the scans
+    # are left out instead.
+    missing_share=0.1,
+    # Number of neighbouring channels that equal the maximum of a scan, and all such channels over the
+    # channels of the next most frequent value: rounding to 2 or 3 digits makes all values frequent.
+    clipped_channels=5,
+    clipped_excess=3.0,
+    # Number of unequal scans from which a constant channel is judged, and change of its neighbours between
+    # two scans in steps of their rounding: within fewer steps rounding holds a value.
+    stuck_scans=6,
+    stuck_steps=4.0,
+    # Difference of even and odd channels [1]: 0.01 in real records.
+    alternation=0.05,
+    # Change of a scan against its neighbours in an interval of 100 nm, relative [1], and over the usual
+    # change of the record: under broken clouds every scan is unlike its neighbours. The limit is at most
+    # ``sure_change``, since few scans do not show what is usual.
+    scan_change=0.05,
+    scan_sds=8.0,
+    sure_change=0.5,
+    # Change from the scan before to the scan after, and between the quantiles ``most`` of the next
+    # ``weather`` scans on both sides, over that of the scan between [1].
+    steady=0.25,
+    weather=8,
+    most=(0.15, 0.85),
+    # Number of scans from which scans are compared with their neighbours.
+    least_scans=5,
+    # Longest time between the scans before and after [s]: a cloud of 100 m needs 7 s or more to pass.
+    scan_s=6.0,
+    # Relative level of a scan between two slow neighbours, and of the first and the last scan [1]: clouds
+    # leave 0.2 of a clear sky, and gaps between them give back no more than 5 times.
+    dark_scan=0.15,
+    bright_scan=6.0,
+    # Share of the scans that may be unlike their neighbours [1], at least two: more is weather.
+    scan_share=0.05,
+    # Change of level from one scan to the next [1]; difference of this change among intervals of 100 nm, over
+    # it: clouds take sunlight, which is redder than skylight, so that theirs is 0.2 and more; change within
+    # the three scans before and the three after, over it.
+    step=0.05,
+    step_colour=0.1,
+    step_steady=0.15,
+    # Share of channels, and of scans, that must remain [1].
+    least_share=0.6,
+)
 
 
-RULES = RecordRules()
 #: Attribute of a record that was judged: codes and texts of its faults.
 FAULTS_ATTR = "irradiance_faults"
 #: What a fault of a record is told of: the record, whichever of its flight lines shows it.
@@ -146,7 +123,7 @@ def judge_record(
     # [W m-2 nm-1], NaN where undefined; ``clipped`` (scan, channel): channels whose raw counts were clipped.
     #
     # Channels of 400 to 1000 nm are judged: beyond, noise may exceed the light. Raises SchemaError: fewer
-    # channels or scans than `RecordRules.least_share` remain.
+    # channels or scans than `RULES.least_share` remain.
     values = np.array(values, np.float64)
     in_light = (wavelength >= JUDGED_NM[0]) & (wavelength <= JUDGED_NM[1])
     judged = in_light if in_light.any() else np.ones(wavelength.size, bool)
