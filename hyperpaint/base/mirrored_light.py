@@ -19,6 +19,9 @@ THROUGH_COAT = "reflectance factor of the body through its clear coat"
 #: Attribute ``quantity``: all light from the painted surface, including its mirror image of the sky.
 OUTSIDE = "reflectance factor of the outside of the coat"
 
+#: Variable ``quantity`` of a paint with flakes, or whose finish is unknown: it changes with sun and view.
+AT_GEOMETRY = "reflectance factor at this geometry"
+
 _ATTRIBUTE = "mirror_reflection"
 _MAKERS_ATTRIBUTE = "specular_component"
 _REMOVAL_ATTRIBUTE = "mirrored_sky_removed"

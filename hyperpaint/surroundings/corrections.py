@@ -512,8 +512,9 @@ def remove_mirrored_sky(
     to the camera at the zenith angle :math:`\theta_v` and azimuth :math:`\varphi_v`, over the mean of the
     sky. The directions are those of the line's pixels (``view_zenith`` and ``view_azimuth``, or look angles
     with attitude and heading), and of a library's paints; where they or the azimuth of the sun are unknown,
-    the zenith is mirrored. For a tilted body part, remove the sky first, and correct the light then: mirrored
-    light does not grow with the light on the paint.
+    the zenith is mirrored. The uncertainty includes the lean of a paint, ``lean`` of a library where present,
+    else 2 degrees. For a tilted body part, remove the sky first, and correct the light then: mirrored light
+    does not grow with the light on the paint.
 
     Examples
     --------
@@ -897,8 +898,7 @@ def correct_coat(
     index, index_u
         Refractive index of the coat, and its standard uncertainty [1].
     lean_u
-        Standard uncertainty of the angle between sun and body part [degree]; a library's paints with a
-        coordinate ``lean``, as proposed regions have it, use this instead.
+        Standard uncertainty of the angle between sun and body part [degree].
     diffuse, sun_zenith, sky
         As for `remove_mirrored_sky`.
     view_zenith
@@ -954,10 +954,10 @@ def correct_coat(
             incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, sun_zenith)
             view, azimuth = _view_of(paint)
             view = view if view_zenith is None else view_zenith
-            lean = _lean_of(paint, lean_u)
             angle = min(float(view), 85.0) if np.isfinite(view) else 0.0
-            rows.append(_shares(split, incidence, angle, (*coat, lean)))
+            rows.append(_shares(split, incidence, angle, (*coat, lean_u)))
             if needs_u:
+                lean = _lean_of(paint, lean_u)
                 removed_u.append(mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=lean)[1])
         shares: Any = [_by_paint(column) for column in zip(*rows, strict=True)]
         if needs_u:

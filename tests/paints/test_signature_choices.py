@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
+from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels, regions_from
 
@@ -340,3 +342,85 @@ def test_smile_is_taken_out_before_pixels_are_put_together() -> None:
     assert found.reflectance_sd[inner].max() < 2e-3
     assert extract_signatures(line, region).reflectance_sd.max() > 0.03
     assert found.attrs["spectral_axis"] == "nominal wavelengths"
+
+
+# --- regions drawn by hand ---------------------------------------------------------------------------------
+
+
+def drawn(**properties: Any) -> Regions:
+    return Regions((Region("hand", [(1, 1), (1, 9), (6, 9), (6, 1)], properties=properties),))
+
+
+def test_the_light_of_flakes_is_no_glint() -> None:
+    # Glint on a third of the pixels, in which flakes shine: only paint with flakes keeps them
+    line = made()
+    bright = np.zeros((line.sizes["along_track"], line.sizes["cross_track"]), np.uint16)
+    bright[:4] = Quality.GLINT
+    bright[5, 3] = Quality.SHADOW
+    line["quality"] = (("along_track", "cross_track"), bright)
+    counts = {
+        finish: int(extract_signatures(line, drawn(finish=finish)).n_excluded[0])
+        for finish in ("solid", "unknown", "metallic", "pearl")
+    }
+    assert counts["metallic"] == counts["pearl"] == 1
+    assert counts["solid"] == counts["unknown"] > 10
+    given = extract_signatures(line, drawn(finish="metallic"), exclude=Quality.GLINT)
+    assert int(given.n_excluded[0]) > 10
+
+
+def test_a_drawn_region_has_the_lean_of_its_part() -> None:
+    line = raw()
+    stated = {
+        name: line.paint.signatures(drawn(**properties), specular_sky=True, diffuse="model")
+        for name, properties in {
+            "roof": {"kind": "roof", "finish": "solid"},
+            "part": {"finish": "solid"},
+            "flakes": {"kind": "roof", "finish": "metallic"},
+            "ground": {"kind": "asphalt"},
+            "proposed": {
+                "kind": "roof",
+                "lean": 0.4,
+                "level_uncertainty": 0.011,
+                "level_terms": {"dust": 0.011},
+            },
+        }.items()
+    }
+    level = {name: float(library.level_uncertainty[0]) for name, library in stated.items()}
+    leans = {name: float(library.lean[0]) for name, library in stated.items()}
+    assert leans["roof"] == pytest.approx(np.hypot(0.5, 0.8))
+    assert leans["part"] == 7.0
+    assert (leans["proposed"], level["proposed"]) == (0.4, 0.011)
+    assert json.loads(stated["proposed"].level_terms.values[0]) == {"dust": 0.011}
+    assert np.isnan([level["ground"], leans["ground"]]).all()
+    assert level["roof"] < min(level["flakes"], level["part"])
+    # a lean of 7 degrees towards the sun, by the cosine law
+    sun, split = (
+        np.radians(float(stated["part"].sun_zenith[0])),
+        float(stated["part"].diffuse_fraction.mean()),
+    )
+    assert level["part"] > np.radians(7.0) * (1.0 - split) * np.tan(sun)
+    assert "lean of 7.0 degrees" in stated["part"].level_terms.values[0]
+    words = {name: str(library.quantity.values[0]) for name, library in stated.items()}
+    assert words["roof"] == "body reflectance factor under the clear coat"
+    assert words["flakes"] == "reflectance factor at this geometry"
+    assert words["proposed"] == "reflectance factor at this geometry, over coat_transmission"
+    # the mirrored sky of a part that may lean is less certain, and that of flakes is not forgotten
+    parts = [float(stated[name].reflectance_u_coat.mean()) for name in ("roof", "part", "flakes")]
+    assert parts[1] > parts[0] > 0.0
+    assert parts[2] > 0.0
+
+
+def test_broken_clouds_are_not_passed_over() -> None:
+    line = made()
+    lines = line.sizes["along_track"]
+    split = np.full((lines, line.sizes["band"]), 0.4, np.float32)
+    line = line.assign(
+        diffuse_fraction=(("along_track", "band"), split),
+        diffuse_fraction_u=(("along_track", "band"), np.full_like(split, 0.3)),
+        sky_state=("along_track", np.full(lines, SKY_STATES.index("broken"), np.int8)),
+    )
+    with pytest.warns(PaintWarning, match="clouds-broken"):
+        library = extract_signatures(line, drawn(kind="roof"))
+    assert float(library.level_uncertainty[0]) > 0.4
+    # a proposed region was judged by its light
+    assert float(extract_signatures(line, drawn(level_uncertainty=0.02)).level_uncertainty[0]) == 0.02

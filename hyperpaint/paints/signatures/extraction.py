@@ -18,6 +18,7 @@ import xarray as xr
 
 from hyperpaint.base import (
     ALONG_TRACK,
+    AT_GEOMETRY,
     BAND,
     BODY,
     CROSS_TRACK,
@@ -62,6 +63,7 @@ from hyperpaint.radiometry.uncertainty import (
     error_variables,
 )
 from hyperpaint.regions import Regions, pixels_of, regions_from
+from hyperpaint.regions.proposals import GAPS, JUDGING, LEANS, change_with_lean
 from hyperpaint.surroundings.corrections import (
     LEVELS,
     NORMAL_REFLECTANCE,
@@ -87,6 +89,7 @@ from .pixel_statistics import (
     excluded_of,
     gather,
     summarise,
+    words_of,
 )
 
 # --- correction of the clear coat for regions of paint -----------------------------------------------------
@@ -121,11 +124,7 @@ def without_coat(
     # Return a library corrected for a coat of the given index; see `correct_coat`.
     #
     # Regions of other surfaces than paint, and metallic paint, stay unchanged.
-    words = [
-        {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
-        for region in regions
-    ]
-    has_coat = np.array([not region_words & (_NO_PAINT | FLAKE_PAINTS) for region_words in words])
+    has_coat = np.array([not words_of(region) & (_NO_PAINT | FLAKE_PAINTS) for region in regions])
     if not has_coat.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
@@ -302,6 +301,92 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
             for name, (dims, values) in variables.items()
         }
     )
+
+
+# --- level and quantity of every signature -----------------------------------------------------------------
+
+#: Standard deviation of the place that is level, relative to the change of brightness over a region [1]: it
+#: lies anywhere in the middle half of the region.
+CROWN_SHARE = 0.18
+
+#: Uncertainty of the level where a cloud may have covered the sun, relative [1].
+COVERED_SUN_U = 0.5
+
+#: Maximum standard uncertainty of the diffuse fraction under broken clouds with free sun [1].
+FREE_SUN_U = 0.12
+
+
+def with_leans(library: xr.Dataset, regions: Regions) -> xr.Dataset:
+    # Return a library with ``lean`` (signature): of proposed regions their own, of others the prior lean of
+    # a roof, or of a body part that nothing shows to be a roof; NaN of other surfaces than paint.
+    roof = float(np.hypot(LEANS.roll_deg, LEANS.rake_deg))
+    leans = [
+        np.nan
+        if words_of(region) & _NO_PAINT
+        else region.properties.get("lean", roof if "roof" in words_of(region) else JUDGING.panel_deg)
+        for region in regions
+    ]
+    lean = xr.DataArray(np.array(leans, np.float64), dims=SIGNATURE, attrs=LIBRARY_VARIABLES["lean"].attrs)
+    return library.assign_coords(lean=lean)
+
+
+def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
+    # Return a library with ``level_uncertainty``, ``level_terms`` and ``quantity`` (signature).
+    #
+    # Proposed regions have their own uncertainty of the level. That of others combines noise and dust, the
+    # lean, the change over the region, the light of neighbours, and broken clouds; the mirrored sky is in
+    # ``reflectance_u_coat``. A mean over the crown of a roof is not its level part: flakes and low suns make
+    # the difference large.
+    good = library["good"].values.astype(bool)
+    levels, terms, quantities, clouded = [], [], [], []
+    quantity = library["reflectance"].attrs["quantity"]
+    transmission = library.get("coat_transmission", xr.ones_like(library["reflectance"]))
+    for number, region in enumerate(regions):
+        paint, words = library.isel({SIGNATURE: number}), words_of(region)
+        is_divided = bool((transmission.isel({SIGNATURE: number}).values[good] < 1.0).any())
+        at_geometry = f"{AT_GEOMETRY}, over coat_transmission" if is_divided else AT_GEOMETRY
+        quantities.append(quantity if quantity == OUTSIDE or "solid" in words else at_geometry)
+        values = paint["reflectance"].values[good]
+        level = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        if "level_uncertainty" in region.properties or words & _NO_PAINT or not level > 0.0:
+            levels.append(float(region.properties.get("level_uncertainty", np.nan)))
+            terms.append(region.properties.get("level_terms", {}))
+            continue
+        split, split_u, flop = (
+            float(np.nan_to_num(paint[name].values[good], nan=0.0).mean())
+            for name in ("diffuse_fraction", "diffuse_fraction_u", "flop")
+        )
+        zenith, lean = float(paint["sun_zenith"]), float(paint["lean"])
+        change = change_with_lean(45.0 if np.isnan(zenith) else zenith)
+        if "solid" not in words:  # flakes change by more
+            change = max(change, JUDGING.unseen_change)
+        parts = {
+            "noise and dust": JUDGING.least_sd,
+            f"an unknown lean of {lean:.1f} degrees": np.radians(lean) * (1.0 - split) * change,
+            "its change over the region, such as over a crown": CROWN_SHARE * abs(flop),
+            "the light of neighbours": JUDGING.mirror_sd / level,
+        }
+        if int(paint["sky_state"]) == SKY_STATES.index("broken"):
+            parts["broken clouds"] = GAPS.sd if split_u < FREE_SUN_U else COVERED_SUN_U
+            clouded.append(region.name)
+        levels.append(float(np.hypot.reduce(list(parts.values()))))
+        terms.append({cause: round(float(part), 5) for cause, part in parts.items()})
+    if clouded:
+        warn_user(
+            f"clouds were broken over {', '.join(clouded[:5])}: a cloud may have covered the sun there and "
+            "not at the receiver, or the reverse; their level may be wrong by a factor (level_uncertainty); "
+            "take a line flown between clouds, or a region that propose_regions accepts",
+            "clouds-broken",
+        )
+    texts = [json.dumps(parts, ensure_ascii=False) if parts else "" for parts in terms]
+    columns = {"level_uncertainty": levels, "level_terms": texts, "quantity": quantities}
+    return library.assign_coords(
+        {
+            name: (SIGNATURE, np.array(column, np.float64 if name == "level_uncertainty" else object),
+                   LIBRARY_VARIABLES[name].attrs)
+            for name, column in columns.items()
+        }
+    )  # fmt: skip
 
 
 # --- sky mirrored by a coat relative to its Fresnel reflectance, from the variation of pixels --------------
@@ -512,8 +597,9 @@ def extract_signatures(
     exclude
         Flags of excluded pixels; 0 excludes none. By default the flags in the property ``excluded_flags`` of
         a region, which `propose_regions` sets, else the flags of pixels whose reflectance differs from that
-        of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency and mixed_edge. By
-        default pixels of lines with unsteady light are excluded, too (illumination_unstable and
+        of the surface: saturated, irradiance_gap, no_data, shadow and, except for regions whose ``finish`` or
+        ``kind`` is metallic or pearl, as flakes shine like them, glint, adjacency and mixed_edge. By default
+        pixels of lines with unsteady light are excluded, too (illumination_unstable and
         timing_sensitive), unless a region then has too few pixels: it keeps them, with a warning.
     members
         Maximum number of single pixels stored with a signature.
@@ -564,11 +650,13 @@ def extract_signatures(
         the view and the direction in which a level body part mirrors the sun, and ``aspecular_range``, its
         possible variation over the body part (signature) [degree]; ``flop`` (signature, band), the relative
         change of reflectance from the dark to the bright end of the body part [1]. Coordinates:
-        ``signature``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON),
-        and every property of the regions. Attributes hold the settings; attributes of reflectance define it:
-        ``quantity``, of the body under a coat, of the body through the coat, or of its outside;
-        ``mirror_reflection`` and ``specular_component``, whether the mirrored sky is "included" or
-        "excluded"; and ``geometry``.
+        ``quantity``: of solid paint the attribute of reflectance, of flakes and of unknown finishes the
+        reflectance factor at this geometry; ``lean`` [degree] and ``level_uncertainty`` [1], of proposed
+        regions their own, of others as in Notes, with ``level_terms``; ``signature``, ``wavelength``,
+        ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every property of the
+        regions. Attributes hold the settings; attributes of reflectance define it: ``quantity``, of the body
+        under a coat, of the body through the coat, or of its outside; ``mirror_reflection`` and
+        ``specular_component``, whether the mirrored sky is "included" or "excluded"; and ``geometry``.
 
     Raises
     ------
@@ -582,12 +670,17 @@ def extract_signatures(
     Warns
     -----
     PaintWarning
-        All pixels of a region are of lines with unsteady light; or flags of the scene are excluded, but a
+        All pixels of a region are of lines with unsteady light; clouds were broken over a region that was not
+        proposed; or flags of the scene are excluded, but a
         line was not searched for them (`hyperpaint.surroundings.flag`): the attribute ``exclude`` lists only
         flags that were searched in all lines.
 
     Notes
     -----
+    A region that was not proposed has the ``level_uncertainty`` of noise and dust, of a lean (0.9 degrees
+    where its ``kind`` is "roof", else 7), of the change over the region, whose mean is not its level part,
+    and of the light of neighbours; the mirrored sky is in ``reflectance_u_coat``.
+
     The signature of a metallic or pearl paint (by ``finish`` or ``kind`` of its region) holds only for its
     ``aspecular_angle`` under its sun and sky; it is not corrected for the coat, and ``flop`` shows the change
     with the angle.
@@ -734,13 +827,13 @@ def extract_signatures(
         library = library.assign(
             sun_zenith=library["sun_zenith"].copy(data=np.full(library.sizes[SIGNATURE], float(sun_zenith)))
         )
-    library = with_coat_strength(library, sun_zenith)
+    library = with_coat_strength(with_leans(library, remaining), sun_zenith)
     if specular_sky:
         strength = float(interface_reflectance(0.0, coat_index))
         library = remove_mirrored_sky(library, strength=strength, diffuse=diffuse, sun_zenith=sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
-    library = with_aspecular_geometry(library)
+    library = with_levels(with_aspecular_geometry(library), remaining)
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 

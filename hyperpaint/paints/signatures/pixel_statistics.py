@@ -13,6 +13,7 @@ from hyperpaint.base import (
     BAND,
     CROSS_TRACK,
     CUBE,
+    FLAKE_PAINTS,
     Array,
     Floats,
     Progress,
@@ -195,11 +196,23 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
     return float(np.clip(count / np.mean(ratios), 1.0, max_effective)) if ratios else max_effective
 
 
+#: Flags that the light of flakes raises.
+_OF_FLAKES = Quality.GLINT | Quality.ADJACENCY | Quality.MIXED_EDGE
+
+
+def words_of(region: Region) -> set[str]:
+    # Return the words that name the surface of a region.
+    return {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
+
+
 def excluded_of(region: Region, default: int) -> int:
     # Return the flags whose pixels a region excludes: its property ``excluded_flags``, or ``default``.
+    #
+    # Of paint with flakes pixels in glint, in the light of neighbours and at edges stay: its flakes' light
+    # looks like them.
     names = region.properties.get("excluded_flags")
     if names is None:
-        return default
+        return default & ~int(_OF_FLAKES) if words_of(region) & FLAKE_PAINTS else default
     flags = {flag.name.lower(): int(flag) for flag in Quality if flag.name}
     if not isinstance(names, list) or not set(names) <= set(flags):
         raise SchemaError(
