@@ -717,19 +717,6 @@ MAX_NOISE_GAIN = 3.0
 _MAX_VARIANCE_RATIO = 3.0
 
 
-def default_windows(declared: Declared, degree: int) -> list[Window]:
-    # Return the `WINDOWS` that camera and record cover; the first where they cover none.
-    channels = declared.light.wavelength
-    covered = [
-        (low, high)
-        for low, high in WINDOWS
-        if _is_inside(declared, low, high).sum() >= fewest_bands(degree)
-        and channels.min() <= low - _RECORD_MARGIN
-        and channels.max() >= high + _RECORD_MARGIN
-    ]
-    return covered or [*WINDOWS[:1]]
-
-
 def _is_inside(declared: Declared, low: float, high: float) -> Array:
     # Return whether bands are good and inside a window (band,).
     return declared.good & (declared.wavelength >= low) & (declared.wavelength <= high)
@@ -942,7 +929,16 @@ def align_to_irradiance(
         problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     declared = Declared.by(dataset)
-    windows = default_windows(declared, degree) if window is None else checked_windows(window)
+    # by default the `WINDOWS` that camera and record cover; the first where they cover none
+    channels = declared.light.wavelength
+    covered = [
+        (low, high)
+        for low, high in WINDOWS
+        if _is_inside(declared, low, high).sum() >= fewest_bands(degree)
+        and channels.min() <= low - _RECORD_MARGIN
+        and channels.max() >= high + _RECORD_MARGIN
+    ]
+    windows = (covered or [*WINDOWS[:1]]) if window is None else checked_windows(window)
     # Which bands are good and inside each window (band,); SchemaError for too few.
     inside_windows = [_is_inside(declared, low, high) for low, high in windows]
     fewest = fewest_bands(degree)

@@ -669,7 +669,15 @@ def light_off_lines(
     # ``centre`` (step,) are the bands of the lamp lines, ``step_wavelength`` (step,) and ``wavelength``
     # (band,) in nm; ``width`` (step,) is the measured full width at half maximum of the line [nm];
     # ``dark_check`` as of `dark_off_lines`.
-    second_order = _second_order_share(rows, step_wavelength, wavelength, width)
+    # counts at twice the wavelength over counts of the lamp line (step,) [1]; the second order is up to twice
+    # as wide as the lamp line
+    second_order = np.full(len(rows), np.nan)
+    for step, (middle, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
+        distance = np.abs(wavelength - middle)
+        is_near, is_ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
+        is_covered = wavelength.min() + 2.0 * fwhm <= middle <= wavelength.max() - 2.0 * fwhm
+        if is_covered and is_ring.sum() >= 4 and (rows[step][is_near] != 0).all():
+            second_order[step] = (rows[step][is_near] - np.median(rows[step][is_ring])).sum()
     matrix = _stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
     source = np.clip(np.round(centre), 0, len(matrix) - 1).astype(np.int64)
     # relative uncertainty: difference of the matrix to the sums of single steps, and offset of the dark
@@ -723,24 +731,11 @@ def dark_off_lines(
     return results
 
 
-def _second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
-    # Return counts at twice the wavelength over counts of the lamp line (step,) [1].
-    # The second order is up to twice as wide as the lamp line.
-    share = np.full(len(rows), np.nan)
-    for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
-        distance = np.abs(wavelength - centre)
-        is_near, is_ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
-        is_covered = wavelength.min() + 2.0 * fwhm <= centre <= wavelength.max() - 2.0 * fwhm
-        if is_covered and is_ring.sum() >= 4 and (rows[step][is_near] != 0).all():
-            share[step] = (rows[step][is_near] - np.median(rows[step][is_ring])).sum()
-    return share
-
-
 def _stray_light_matrix(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
 ) -> Floats:
     # Return the share of the light of a source band that other bands receive (band, source_band) [1];
-    # `second` (step,) as of `_second_order_share`.
+    # `second` (step,) as of `light_off_lines`.
     band = np.arange(rows.shape[1])
     is_usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
     matrix = _wings((band - centre[:, None])[is_usable], rows[is_usable], band[:, None] - band)
@@ -1751,12 +1746,9 @@ def _slope_and_shift(
         return np.zeros(lab.shape[0]), np.zeros(lab.shape[0])
     lit_wavelength = lab.wavelength[lit_steps]
 
-    def over_steps(values: Floats) -> Floats:
-        return np.interp(lab.wavelength, lit_wavelength, values)
-
-    slope = over_steps(np.gradient(np.log(level[lit_steps]), lit_wavelength))
+    slope = np.interp(lab.wavelength, lit_wavelength, np.gradient(np.log(level[lit_steps]), lit_wavelength))
     width, pitch, amplitude = (
-        over_steps(row_medians(values, lamp_lines.trusted)[lit_steps])
+        np.interp(lab.wavelength, lit_wavelength, row_medians(values, lamp_lines.trusted)[lit_steps])
         for values in (lamp_lines.camera_width * spacing, spacing, lamp_lines.amplitude)
     )
     return slope, slope_shift_of_lines(lab, noise, slope, width, pitch, amplitude, shape)

@@ -1251,13 +1251,6 @@ def estimate_clock_offset(
     expected = Hypothesis(setting.declared)
     view, poses = setting.view_of(expected), partial(setting.poses, expected)
 
-    def at_rest(poses: Floats) -> Floats:
-        # every angle replaced by its mean
-        resting, has_pose = poses.copy(), np.isfinite(poses[3])
-        mean_direction = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
-        resting[3:, has_pose] = np.degrees(np.angle(mean_direction))[:, None]
-        return resting
-
     observed = setting.observed.shift
     compared = np.broadcast_to(setting.is_steady[:, None], observed.shape) & np.isfinite(observed)
     _refuse_first((not compared.any(), "no two lines in a row show a motion", "motion-not-seen"))
@@ -1267,7 +1260,10 @@ def estimate_clock_offset(
     _refuse_first((np.isnan(costs).all(), unposed, "pose-missing"))
     best = int(np.nanargmin(costs))
     poses_at_best = poses(float(offsets[best]))
-    resting = at_rest(poses_at_best)
+    # the same poses, every angle replaced by its mean
+    resting, has_pose = poses_at_best.copy(), np.isfinite(poses_at_best[3])
+    mean_direction = np.exp(1j * np.radians(poses_at_best[3:, has_pose])).mean(axis=1)
+    resting[3:, has_pose] = np.degrees(np.angle(mean_direction))[:, None]
     misfit = costs / float(_offset_costs(setting, lambda _: resting, view, compared, np.zeros(1))[0])
     gain = 1.0 - float(misfit[best])
     rivals = np.where(np.abs(offsets - offsets[best]) > RULES.rival_distance_s, misfit, np.inf)

@@ -223,7 +223,36 @@ def paint_card(
     >>> len(paint_card(line, paints, "grass").axes)
     4
     """
-    line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
+    # the paint, with the dim signature of length 1, and its region on the flight line
+    usable, _ = find_usable(library)
+    SchemaError.raise_if(
+        "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims,
+        "the card of a paint needs a paint library",
+        expected="reflectance (signature, band)",
+        code="library-missing",
+    )
+    paints = [str(name) for name in usable[SIGNATURE].values]
+    SchemaError.raise_if(
+        paint not in paints,
+        f"there is no paint {paint!r}",
+        expected=", ".join(paints[:20]),
+        code="paint-unknown",
+    )
+    signature = usable.isel({SIGNATURE: [paints.index(paint)]}).compute()
+    SchemaError.raise_if(
+        "region" not in signature.variables or not str(signature["region"].item()),
+        f"paint {paint!r} has no region",
+        expected="a library from a flight line",
+        code="region-missing",
+    )
+    SchemaError.raise_if(
+        signature.attrs.get("coordinates_of_regions", "sensor") != "sensor",
+        f"the region of paint {paint!r} is on a map",
+        mend="draw its card from the flight line",
+        code="region-coordinates",
+    )
+    region = regions_from(json.loads(str(signature["region"].item())))[0]
+    line = rename_to_roles(line)
     # crop of the line around the region, and which of its pixels (line, column) are in the region
     ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
     SchemaError.raise_if(
@@ -282,38 +311,6 @@ def paint_card(
     )
     _draw_signature(plots["signature"], signature)
     return save_figure(figure, path)
-
-
-def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
-    # a paint of a library, and its region on the flight line; the dim signature has length 1
-    usable, _ = find_usable(library)
-    SchemaError.raise_if(
-        "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims,
-        "the card of a paint needs a paint library",
-        expected="reflectance (signature, band)",
-        code="library-missing",
-    )
-    names = [str(name) for name in usable[SIGNATURE].values]
-    SchemaError.raise_if(
-        paint not in names,
-        f"there is no paint {paint!r}",
-        expected=", ".join(names[:20]),
-        code="paint-unknown",
-    )
-    selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
-    SchemaError.raise_if(
-        "region" not in selection.variables or not str(selection["region"].item()),
-        f"paint {paint!r} has no region",
-        expected="a library from a flight line",
-        code="region-missing",
-    )
-    SchemaError.raise_if(
-        selection.attrs.get("coordinates_of_regions", "sensor") != "sensor",
-        f"the region of paint {paint!r} is on a map",
-        mend="draw its card from the flight line",
-        code="region-coordinates",
-    )
-    return selection, regions_from(json.loads(str(selection["region"].item())))[0]
 
 
 def _draw_exclusions(

@@ -258,7 +258,15 @@ def make_plan(
     dark_weight = np.zeros(lines, np.float32)
     if is_from_counts:
         dark, dark_index, dark_weight = darks_of_lines(cube, exposure)
-    is_masked, usable = _masked(cube, dark), np.asarray(np.isfinite(dark).all(axis=0))
+    # masked elements (band, column); `masked` is (column,), (band, 1) or (band, column).
+    is_masked = np.broadcast_to(np.asarray(cube.get("masked", False), bool), dark.shape[1:])
+    usable = np.asarray(np.isfinite(dark).all(axis=0))
+    warn_if(
+        "masked" in cube and not (is_masked & usable).any(),
+        "'masked' is declared, but this part of the line has no masked element: no pedestal is "
+        "subtracted; compute reflectance of the whole line before cutting it",
+        "masked-missing",
+    )
     pedestal = pedestal_of(is_masked, usable, cube.get("pedestal") or declared_pedestal({}))
     masked = np.argwhere(is_masked & usable)
     gain = np.ones((bands, columns), np.float32)
@@ -384,18 +392,6 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
     # Return the linearity curve of a line's counts; the identity for a radiance cube.
     curve: Linearity = cube.get("linearity", Linearity())
     return tabulated(cube, curve.on_raw) if table_names(cube) else curve
-
-
-def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    # Return the masked elements (band, column); `masked` is (column,), (band, 1) or (band, column).
-    is_masked = np.broadcast_to(np.asarray(cube.get("masked", False), bool), dark.shape[1:])
-    warn_if(
-        "masked" in cube and not (is_masked & np.isfinite(dark).all(axis=0)).any(),
-        "'masked' is declared, but this part of the line has no masked element: no pedestal is "
-        "subtracted; compute reflectance of the whole line before cutting it",
-        "masked-missing",
-    )
-    return is_masked
 
 
 def _highest_count(cube: Mapping[str, Any]) -> float:

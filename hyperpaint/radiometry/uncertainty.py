@@ -43,7 +43,6 @@ from hyperpaint.base import (
     Array,
     Bools,
     Floats,
-    Ints,
     Problem,
     Problems,
     SchemaError,
@@ -273,7 +272,20 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
     counts, dark = arrays["counts"], arrays["dark_counts"]
     if "dark_time" in dark.dims:
         dark = dark.mean("dark_time")
-    starts = _block_starts(counts.shape)
+    line_count, bands, columns = counts.shape
+    Problems("noise cannot be estimated", SchemaError).raise_if_any(
+        (
+            line_count < BLOCK_LINES,
+            Problem(f"{line_count} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"),
+        ),
+        (
+            bands < 3,
+            Problem(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"),
+        ),
+    )
+    block_count = line_count // BLOCK_LINES
+    sampled = min(block_count, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
+    starts = np.unique(np.linspace(0, block_count - 1, sampled).astype(np.int64)) * BLOCK_LINES
     lines = (starts[:, None] + np.arange(BLOCK_LINES)).ravel()
     blocks = counts.isel({ALONG_TRACK: lines}).values
     has_time = (
@@ -334,23 +346,6 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
         )
     quantisation = QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
-
-
-def _block_starts(shape: tuple[int, ...]) -> Ints:
-    lines, bands, columns = shape
-    Problems("noise cannot be estimated", SchemaError).raise_if_any(
-        (
-            lines < BLOCK_LINES,
-            Problem(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"),
-        ),
-        (
-            bands < 3,
-            Problem(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"),
-        ),
-    )
-    blocks = lines // BLOCK_LINES
-    sampled = min(blocks, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
-    return np.unique(np.linspace(0, blocks - 1, sampled).astype(np.int64)) * BLOCK_LINES
 
 
 def _by_band(array: Array) -> Array:

@@ -1163,7 +1163,14 @@ def simulate_collect(
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = flight_of(settings)
     root = _prepare(target, overwrite)
-    _write_dark(flight, root / "dark")
+    folder = root / "dark"
+    dark = flight.dark_frames()
+    dark.astype("<u2").tofile(folder / "raw_0")
+    write_bil_header(folder / "raw_0", flight.wavelength, settings, len(dark))
+    frames = np.arange(len(dark), dtype=np.int64)
+    mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
+    write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
+    write_settings(folder / "settings.txt", settings)
     samples = flight.sky_samples()
     for index, (stamp, spectrum) in enumerate(zip(samples.stamp.tolist(), samples.irradiance, strict=True)):
         write_asd(
@@ -1288,17 +1295,6 @@ def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) ->
         + {"start": -half_exposure, "mid": 0, "end": half_exposure}[settings.stamp]
         - round(settings.frame_clock_offset_s * 1e9)
     )
-
-
-def _write_dark(flight: Flight, folder: Path) -> None:
-    settings = flight.settings
-    dark = flight.dark_frames()
-    dark.astype("<u2").tofile(folder / "raw_0")
-    write_bil_header(folder / "raw_0", flight.wavelength, settings, len(dark))
-    frames = np.arange(len(dark), dtype=np.int64)
-    mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
-    write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
-    write_settings(folder / "settings.txt", settings)
 
 
 def _write_flight(

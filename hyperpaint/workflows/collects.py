@@ -16,7 +16,6 @@ from hyperpaint.base import (
     CROSS_TRACK,
     CollectError,
     Convention,
-    Floats,
     FormatError,
     PaintWarning,
     SchemaError,
@@ -192,7 +191,20 @@ def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
         if key in names
     }
     if geometry.get("look_angle") is not None:
-        angles = _column_angles(geometry["look_angle"], line.sizes[CROSS_TRACK])
+        path, columns = geometry["look_angle"], line.sizes[CROSS_TRACK]
+        # angle of every column, positive to the right [degree]
+        content = "a text file with the angle of every column, positive to the right [degree]"
+        cells = numbers(
+            decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content)).replace(",", " ").split()
+        )
+        found = "words" if cells is None else f"{len(cells)} numbers"
+        FormatError.raise_if(
+            cells is None or len(cells) != columns,
+            f"{path}: {found}",
+            expected=f"{columns} angles [degree], one for every column",
+            code="length-mismatch",
+        )
+        angles = np.asarray(cells, np.float64)
     elif "fov_deg" in geometry and "roll" in line.variables:
         convention = Convention.from_attrs(line.attrs)
         if convention is None or convention.column_order is None:
@@ -211,22 +223,6 @@ def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
 
 
 _MAX_ANGLE_FILE_BYTES = 2**20
-
-
-def _column_angles(path: Path, columns: int) -> Floats:
-    # angle of every column, positive to the right [degree]
-    content = "a text file with the angle of every column, positive to the right [degree]"
-    angles = numbers(
-        decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content)).replace(",", " ").split()
-    )
-    found = "words" if angles is None else f"{len(angles)} numbers"
-    FormatError.raise_if(
-        angles is None or len(angles) != columns,
-        f"{path}: {found}",
-        expected=f"{columns} angles [degree], one for every column",
-        code="length-mismatch",
-    )
-    return np.asarray(angles, np.float64)
 
 
 def check_collect(path: str | os.PathLike[str], *, passed: bool = False) -> tuple[Finding, ...]:

@@ -322,13 +322,6 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
     return np.concatenate([centre[:, None], linear_terms, square_terms, mixed_terms], axis=1)
 
 
-def turn_of_north(latitude: Floats) -> Floats:
-    # Return the rotation of true north per metre to the east [rad m-1].
-    phi = np.radians(latitude)
-    radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
-    return np.asarray(np.tan(phi) / radius)
-
-
 Interpolation = Literal["linear", "cubic"]
 
 NAVIGATION_TIME = "navigation_time"
@@ -941,7 +934,10 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     x, y, height = polynomials(latitude, longitude, altitude, reach, swath.crs)
     out = np.empty((PLACES, latitude.size, len(swath.look)))
     rays = LineRays(origin, rotation, swath.look)
-    frames = LineFrames(x, y, height, turn_of_north(latitude))
+    # rotation of true north per metre to the east [rad m-1]
+    phi = np.radians(latitude)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
+    frames = LineFrames(x, y, height, np.tan(phi) / radius)
     if isinstance(swath.ground, float):
         level_places(rays, frames, swath.ground, out)
         return out
@@ -1109,7 +1105,24 @@ def locate(
         interpolation=interpolation,
         **columns,
     )
-    crs = _map_of(poses, crs)
+    # default: the UTM zone of the middle line among the lines with a pose
+    if crs is None:
+        lines_with_pose = np.flatnonzero(np.isfinite(poses[0]))
+        SchemaError.raise_if(
+            not lines_with_pose.size,
+            "no line has a pose, so the UTM zone is unknown",
+            mend="check the navigation and its times, or give crs=",
+            code="pose-missing",
+        )
+        latitude, longitude = poses[:2, lines_with_pose[lines_with_pose.size // 2]]
+        crs = utm_zone(float(latitude), float(longitude))
+    user_crs, crs = crs, crs_of(crs)
+    SchemaError.raise_if(
+        not is_in_metres(crs),
+        f"crs {user_crs!r:.80} is not a map in metres to the east and north",
+        mend="give a projected one, such as 'EPSG:32617'",
+        code="crs-unusable",
+    )
     terrain = None if ground is None else float(ground)
     if dem is not None:
         terrain = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
@@ -1208,28 +1221,6 @@ def _check(
             code="not-finite",
         )
     problems.raise_if_any()
-
-
-def _map_of(poses: Any, crs: Any) -> str:
-    # default: the UTM zone of the middle line among the lines with a pose
-    if crs is None:
-        lines_with_pose = np.flatnonzero(np.isfinite(poses[0]))
-        SchemaError.raise_if(
-            not lines_with_pose.size,
-            "no line has a pose, so the UTM zone is unknown",
-            mend="check the navigation and its times, or give crs=",
-            code="pose-missing",
-        )
-        latitude, longitude = poses[:2, lines_with_pose[lines_with_pose.size // 2]]
-        crs = utm_zone(float(latitude), float(longitude))
-    code = crs_of(crs)
-    SchemaError.raise_if(
-        not is_in_metres(code),
-        f"crs {crs!r:.80} is not a map in metres to the east and north",
-        mend="give a projected one, such as 'EPSG:32617'",
-        code="crs-unusable",
-    )
-    return code
 
 
 # --- poses -------------------------------------------------------------------------------------------------

@@ -744,7 +744,12 @@ class TableReader:
                 if (path := self.path(place, key, text)) is not None:
                     paths.append(path)
                 continue
-            base, pattern = _anchored(text) if self.outside else ("", text)
+            # the folders before the first wildcard, such as ``../asd``, may leave the folder
+            parts = Path(text).parts
+            folders = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
+            base, pattern = (
+                (str(Path(*folders)), "/".join(parts[len(folders) :])) if self.outside else ("", text)
+            )
             try:
                 matches = matching_files(self.folder / base, pattern)
             except ValueError as error:
@@ -780,13 +785,6 @@ _RELATIVE = "paths count from the folder of this file"
 def values(table: Mapping[str, Any]) -> dict[str, Any]:
     # Return the valid keys of a table of `TableReader`.
     return {key: value for key, value in table.items() if key != "?"}
-
-
-def _anchored(pattern: str) -> tuple[str, str]:
-    # Split a pattern after its folders without wildcards, such as ``../asd``, which may leave the folder.
-    parts = Path(pattern).parts
-    folders = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
-    return str(Path(*folders)), "/".join(parts[len(folders) :])
 
 
 def _is_special(path: Path) -> bool:

@@ -510,7 +510,29 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     headings = [_HEADING.findall(cell.replace("\n", " "))[0] for cell in cells[0]]
     columns = {name: k for k, (name, _) in enumerate(headings)}
     wide = [name for name in columns if _WIDE.fullmatch(name)]
-    factors = _factors(headings, problems)
+    # factors from units of the columns to those of the variables of a sweep
+    factors = {}
+    known = (*_OF_STEP, "counts", *_INDICES, "cube")
+    for name, unit in headings:
+        if name in SWEEP_VARIABLES:
+            wanted = SWEEP_VARIABLES[name].units
+            try:
+                factors[name] = conversion_factor(unit or _ASSUMED.get(wanted, ""), wanted)
+            except UnitsError:
+                problems.add(
+                    f"column {name!r} has {f'the unit {unit!r}' if unit else 'no unit'}",
+                    expected=f"a unit such as [{wanted}]",
+                    mend=f"write {name} [{wanted}]",
+                    code="units-unknown",
+                )
+        elif name not in known and not _WIDE.fullmatch(name):
+            close = difflib.get_close_matches(name, known, 1)
+            problems.add(
+                f"unknown column {name!r}",
+                expected=", ".join((*known, "column 0 ...")),
+                mend=f"did you mean {close[0]!r}?" if close else "",
+                code="column-unknown",
+            )
     of_elements = BAND in columns and (bool(wide) or {"counts", CROSS_TRACK} <= set(columns))
     problems.raise_if_any(
         (
@@ -580,33 +602,6 @@ def read_sweep_table(path: Path) -> xr.Dataset:
         ),
     )
     return _sweep(of_step, arrays, problems, has_frames="cube" in columns)
-
-
-def _factors(headings: list[tuple[str, str]], problems: Problems) -> dict[str, float]:
-    # factors from the units of the columns to those of the variables of a sweep
-    factors = {}
-    known = (*_OF_STEP, "counts", *_INDICES, "cube")
-    for name, unit in headings:
-        if name in SWEEP_VARIABLES:
-            wanted = SWEEP_VARIABLES[name].units
-            try:
-                factors[name] = conversion_factor(unit or _ASSUMED.get(wanted, ""), wanted)
-            except UnitsError:
-                problems.add(
-                    f"column {name!r} has {f'the unit {unit!r}' if unit else 'no unit'}",
-                    expected=f"a unit such as [{wanted}]",
-                    mend=f"write {name} [{wanted}]",
-                    code="units-unknown",
-                )
-        elif name not in known and not _WIDE.fullmatch(name):
-            close = difflib.get_close_matches(name, known, 1)
-            problems.add(
-                f"unknown column {name!r}",
-                expected=", ".join((*known, "column 0 ...")),
-                mend=f"did you mean {close[0]!r}?" if close else "",
-                code="column-unknown",
-            )
-    return factors
 
 
 def _cell(row: list[str], k: int, line: int, heading: list[str], problems: Problems) -> float:

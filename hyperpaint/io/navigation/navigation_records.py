@@ -1529,7 +1529,29 @@ def open_navigation(
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
-    _refuse_mixtures(parts)
+    first = parts[0][0]
+    for (earlier_record, earlier_utc, _), (record, utc, _) in itertools.pairwise(parts):
+        FormatError.raise_if(
+            (record.format, record.convention, set(record.others))
+            != (
+                first.format,
+                first.convention,
+                set(first.others),
+            ),
+            f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format, "
+            "columns or convention",
+            mend="open them separately",
+            code="formats-mixed",
+        )
+        if utc[0] <= earlier_utc[-1]:
+            end, start = (
+                np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier_utc[-1], utc[0])
+            )
+            raise TimeError(
+                f"{earlier_record.name} ends at {end}, after {record.name} begins at {start}",
+                mend="open one of them",
+                code="time-overlap",
+            )
     record, _, time_attrs = parts[0]
     source_text = f"{record.name} ({record.format})"
     chosen_convention = _convention(source_text, record.convention, record.assumed, convention)
@@ -1787,32 +1809,6 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 # --- the dataset -------------------------------------------------------------------------------------------
-
-
-def _refuse_mixtures(parts: Sequence[Part]) -> None:
-    first = parts[0][0]
-    for (earlier_record, earlier_utc, _), (record, utc, _) in itertools.pairwise(parts):
-        FormatError.raise_if(
-            (record.format, record.convention, set(record.others))
-            != (
-                first.format,
-                first.convention,
-                set(first.others),
-            ),
-            f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format, "
-            "columns or convention",
-            mend="open them separately",
-            code="formats-mixed",
-        )
-        if utc[0] <= earlier_utc[-1]:
-            end, start = (
-                np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier_utc[-1], utc[0])
-            )
-            raise TimeError(
-                f"{earlier_record.name} ends at {end}, after {record.name} begins at {start}",
-                mend="open one of them",
-                code="time-overlap",
-            )
 
 
 def _convention(

@@ -135,11 +135,6 @@ class Staging:
         # Return the builds of a group with a content from earlier attempts.
         return [entry.path for entry in self._entries() if entry[1:] == ("build", group, content)]
 
-    def discard_others(self, group: str, content: str) -> None:
-        for entry in self._entries():
-            if (entry.kind, entry.group) == ("build", group) and entry.content != content:
-                discard(entry.path)
-
     def close(self, build: Path, group: str, content: str) -> Path:
         # Rename a build, and return its new name.
         #
@@ -159,7 +154,7 @@ class Staging:
         else:
             # exchange from a name of the form `discarded-`: if this process is killed after the exchange, the
             # old group has this name, and the next writer removes it
-            old, exchanged = _to_discard(self.folder), False
+            old, exchanged = (self.folder / f"discarded-{uuid.uuid4().hex[:12]}"), False
             inode = os.stat(build).st_ino
             os.rename(build, old)
             try:
@@ -258,17 +253,13 @@ def discard(build: Path) -> None:
     #
     # The folder is renamed first, so that tasks that dask still runs after an error do not find it, and that
     # a folder which is partly removed does not have the name of a build.
-    discarded = _to_discard(build.parent)
+    discarded = build.parent / f"discarded-{uuid.uuid4().hex[:12]}"
     with contextlib.suppress(OSError):
         os.rename(build, discarded)
     for path in (discarded, build):
         shutil.rmtree(path, ignore_errors=True)
         with contextlib.suppress(OSError):  # the path may be a file
             path.unlink(missing_ok=True)
-
-
-def _to_discard(folder: Path) -> Path:
-    return folder / f"discarded-{uuid.uuid4().hex[:12]}"
 
 
 def _quoted(group: str) -> str:
@@ -569,7 +560,9 @@ class _StoreWriter:
                 place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
                 return lambda: None
             stage = self._stage
-            stage.discard_others(job.group, job.build)
+            for entry in stage._entries():
+                if (entry.kind, entry.group) == ("build", job.group) and entry.content != job.build:
+                    discard(entry.path)
             leftovers = stage.leftovers(job.group, job.build)
             folder = stage.build(job.group, job.build)
             with _discarded_unless_mendable(folder, *leftovers):
