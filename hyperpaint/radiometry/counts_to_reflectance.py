@@ -55,7 +55,7 @@ from hyperpaint.io.flightline.flightline_opening import (
 )
 from hyperpaint.io.flightline.side_files import find_exposure, recording_clock, saturation_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.spectrometers.spectrum_texts import find_paths
 from hyperpaint.io.store import is_zarr, open_unverified
 from hyperpaint.light.illumination import UNSTABLE_CHANGE, Tilt, replace_record
 

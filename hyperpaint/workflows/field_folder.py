@@ -51,8 +51,7 @@ from hyperpaint.io.flightline.side_files import (
 from hyperpaint.io.navigation.navigation_records import column_heading, metres_of, read_imu_gps
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra, sniff
 from hyperpaint.io.spectrometers.reference_files import open_spectra
-from hyperpaint.io.spectrometers.spectrum_files import find_paths
-from hyperpaint.io.spectrometers.spectrum_texts import SPECTRUM_SUFFIXES
+from hyperpaint.io.spectrometers.spectrum_texts import SPECTRUM_SUFFIXES, find_paths
 
 _MAX_SURVEY_BYTES = 1 << 20
 #: Maximum depth of subfolders that are searched.

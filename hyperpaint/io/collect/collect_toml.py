@@ -53,7 +53,7 @@ from hyperpaint.io.flightline.side_files import (
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import UncoveredError, cut_irradiance, open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra
-from hyperpaint.io.spectrometers.spectrum_files import listed
+from hyperpaint.io.spectrometers.spectrum_texts import listed
 
 #: Keys of a flight line's files beside its cube.
 _SIDE_FILES = ("frame_index", "nav", "gps_time")

@@ -54,12 +54,12 @@ from hyperpaint.io.files.reading import (
     read_limited_text,
     refuse,
 )
-from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.spectrometers.spectrum_texts import (
     NM_HEADING,
     RATIO,
     SPECTRUM_SUFFIXES,
     TIME_HEADING,
+    find_paths,
     form_of,
     heading_cells,
     read_spectrum_text,

@@ -92,7 +92,7 @@ from hyperpaint.io.files.reading import (
     text_of_cell,
     unique_names,
 )
-from hyperpaint.io.spectrometers.spectrum_files import SPREAD, STATISTIC
+from hyperpaint.io.spectrometers.spectrum_texts import SPREAD, STATISTIC
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.

@@ -44,29 +44,27 @@ from hyperpaint.base import (
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 
 from .record_faults import clipped_top
-from .spectrum_files import (
+from .spectrum_texts import (
     QUANTITIES,
+    SPECTRUM_SUFFIXES,
     Paths,
+    SpectrumText,
     cell_number,
     check_utc_offset,
     common_quantity,
+    dialect_of,
     find_paths,
     for_all,
+    form_of,
+    is_logger_csv,
     listed,
     name_spectra,
     ratio,
+    read_spectrum_text,
     require_one_grid,
     statistics_among,
     text_lines,
     warn_of,
-)
-from .spectrum_texts import (
-    SPECTRUM_SUFFIXES,
-    SpectrumText,
-    dialect_of,
-    form_of,
-    is_logger_csv,
-    read_spectrum_text,
 )
 
 Kind = Literal["binary", "text", "scans", "instrument", "csv", "unknown"]

@@ -53,8 +53,18 @@ from hyperpaint.io.store import is_zarr, list_groups, load_group
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults
-from .spectrum_files import Paths, check_utc_offset, for_all, listed
-from .spectrum_texts import NM_HEADING, TIME_HEADING, LocalStamp, heading_cells, orders_of, read_stamp
+from .spectrum_texts import (
+    NM_HEADING,
+    TIME_HEADING,
+    LocalStamp,
+    Paths,
+    check_utc_offset,
+    for_all,
+    heading_cells,
+    listed,
+    orders_of,
+    read_stamp,
+)
 
 Stamp = Literal["start", "mid", "end"]
 

@@ -16,8 +16,7 @@ from hyperpaint.io.library import open_library
 from hyperpaint.io.store import is_zarr, list_groups, open_store
 
 from .asd import open_asd, sniff
-from .spectrum_files import find_paths
-from .spectrum_texts import SPECTRUM_SUFFIXES, is_named_as_scans, open_svc
+from .spectrum_texts import SPECTRUM_SUFFIXES, find_paths, is_named_as_scans, open_svc
 
 _GROUP = "references/"
 

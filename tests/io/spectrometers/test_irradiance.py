@@ -25,7 +25,7 @@ from hyperpaint.base.errors import (
 from hyperpaint.io.spectrometers.irradiance import open_irradiance, read_irradiance_csv
 from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name_spectra, same_grids
+from hyperpaint.io.spectrometers.spectrum_texts import find_paths, for_all, name_spectra, same_grids
 from hyperpaint.io.store import to_store
 
 GRID = np.arange(350.0, 1051.0)
