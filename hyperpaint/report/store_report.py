@@ -73,6 +73,7 @@ from hyperpaint.pictures.plot import (
     draw_gain,
     draw_irradiance,
     draw_outlines,
+    draw_panels,
     draw_spread,
     draw_uncertainties,
     find_usable,
@@ -80,10 +81,11 @@ from hyperpaint.pictures.plot import (
     flag_overlay,
     flags_of,
     library_overview,
+    paint_card,
     rgb,
     triptych,
+    validation_figure,
 )
-from hyperpaint.pictures.plot_paints import draw_panels, paint_card, validation_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 from hyperpaint.surroundings.scratch import compute_into, release, scratch_array, survey_planned

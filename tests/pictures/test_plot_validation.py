@@ -11,7 +11,7 @@ from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.pictures import plot_paints
+from hyperpaint.pictures import plot
 from hyperpaint.pictures.figures import check_picture
 
 mpl.use("Agg")
@@ -53,8 +53,8 @@ def test_instruments_are_drawn_over_one_another() -> None:
 
 
 def test_the_worst_of_many_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert plot_paints.MAX_PAIRS == 24
-    monkeypatch.setattr(plot_paints, "MAX_PAIRS", 4)
+    assert plot.MAX_PAIRS == 24
+    monkeypatch.setattr(plot, "MAX_PAIRS", 4)
     count = 7
     names = [f"paint {n}" for n in range(count)]
     paints = library(np.outer(np.linspace(0.9, 1.0, count), seen(NM, 6.0)), names)
