@@ -227,7 +227,7 @@ def compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     faults = []
     if shape > most:
         faults.append(f"shape off by {shape:.4f}, {most:.4f} allowed")
-    width = _level_sd(signature, region)
+    width = _level_sd(signature)
     half_width = np.nan if width is None else NORMAL_95 * width
     if off > max(MAX_LEVEL, MAX_RELATIVE_LEVEL * level, 0.0 if width is None else half_width):
         faults.append(f"level {seen.mean():.4f}, true {level:.4f}, stated to {half_width:.4f}")
@@ -242,7 +242,7 @@ def compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _level_sd(signature: Any, region: Any) -> float | None:
+def _level_sd(signature: Any) -> float | None:
     """Return the stated standard uncertainty of the mean over the bands [1]; None where nothing is stated.
 
     What is systematic, or of the coat, moves all bands together; what is random averages out over them.
@@ -253,7 +253,7 @@ def _level_sd(signature: Any, region: Any) -> float | None:
     random = signature["reflectance_u_random"].values
     if np.isfinite(random).any():
         parts.append(float(np.sqrt(np.nanmean(random**2) / np.isfinite(random).sum())))
-    stated = region.properties.get("level_uncertainty")
-    if stated is not None:
-        parts.append(float(stated) * float(np.nanmean(signature["reflectance"].values)))
+    if "level_uncertainty" in signature.coords and np.isfinite(signature["level_uncertainty"]):
+        level = float(np.nanmean(signature["reflectance"].values))
+        parts.append(float(signature["level_uncertainty"]) * level)
     return float(np.hypot.reduce(parts)) if parts else None
