@@ -2,6 +2,7 @@ from .band_ratios import (
     band_ratio as band_ratio,
     covariance as covariance,
 )
+from .car_views import join_views as join_views
 from .detection import (
     detect as detect,
     detected_regions as detected_regions,
