@@ -28,6 +28,7 @@ from hyperpaint.base import (
     LIBRARY_VARIABLES,
     MAX_ASPECULAR_RANGE_DEG,
     OUTSIDE,
+    QUANTILE,
     SIGNATURE,
     THROUGH_COAT,
     Array,
@@ -305,9 +306,9 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
 
 # --- level and quantity of every signature -----------------------------------------------------------------
 
-#: Standard deviation of the place that is level, relative to the change of brightness over a region [1]: it
-#: lies anywhere in the middle half of the region.
-CROWN_SHARE = 0.18
+#: Standard deviation of the brightness of the level part of a region, relative to the difference of its
+#: quartiles [1]: it lies anywhere between them.
+CROWN_SHARE = 1.0 / np.sqrt(12.0)
 
 #: Uncertainty of the level where a cloud may have covered the sun, relative [1].
 COVERED_SUN_U = 0.5
@@ -352,10 +353,13 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
             levels.append(float(region.properties.get("level_uncertainty", np.nan)))
             terms.append(region.properties.get("level_terms", {}))
             continue
-        split, split_u, flop = (
+        split, split_u = (
             float(np.nan_to_num(paint[name].values[good], nan=0.0).mean())
-            for name in ("diffuse_fraction", "diffuse_fraction_u", "flop")
+            for name in ("diffuse_fraction", "diffuse_fraction_u")
         )
+        # windows and edges in a region lie outside of its quartiles
+        quartiles = paint["reflectance_quantiles"].sel({QUANTILE: [0.25, 0.75]}).transpose(QUANTILE, BAND)
+        spread = float(np.nanmean(np.diff(quartiles.values[:, good], axis=0))) / level
         zenith, lean = float(paint["sun_zenith"]), float(paint["lean"])
         change = change_with_lean(45.0 if np.isnan(zenith) else zenith)
         if "solid" not in words:  # flakes change by more
@@ -363,7 +367,7 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
         parts = {
             "noise and dust": JUDGING.least_sd,
             f"an unknown lean of {lean:.1f} degrees": np.radians(lean) * (1.0 - split) * change,
-            "its change over the region, such as over a crown": CROWN_SHARE * abs(flop),
+            "its change over the region, such as over a crown": CROWN_SHARE * spread,
             "the light of neighbours": JUDGING.mirror_sd / level,
         }
         if int(paint["sky_state"]) == SKY_STATES.index("broken"):
