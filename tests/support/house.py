@@ -58,6 +58,12 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@functools.cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    # Return all nodes of a module, which many checks walk
+    return tuple(ast.walk(tree_of(path)))
+
+
 def module_of(target: str) -> str:
     # Return the longest part of a dotted name that is a module, without the package's name
     parts = target.split(".")[1:]
@@ -164,7 +170,7 @@ def long_signatures() -> Names:
     # Return functions that take more than eight positional arguments
     long = []
     for name, path in modules().items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 count = len(node.args.posonlyargs) + len(node.args.args)
                 if count > MAX_POSITIONAL:
@@ -178,7 +184,7 @@ def uncalled() -> Names:
     definitions: dict[str, Names] = defaultdict(list)
     for name, path in modules().items():
         tree = tree_of(path)
-        for node in ast.walk(tree):
+        for node in nodes_of(path):
             if isinstance(node, ast.Name):
                 uses[node.id] += 1
             elif isinstance(node, ast.Attribute):
@@ -189,7 +195,7 @@ def uncalled() -> Names:
                 # entry points, lazy names, names of methods looked up by text; not __all__
                 uses[node.value] += 1
         uses.subtract(_exported(tree))
-        for owner in ast.walk(tree):
+        for owner in nodes_of(path):
             for node in getattr(owner, "body", ()) if isinstance(owner, ast.Module | ast.ClassDef) else ():
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                     decorated = bool(node.decorator_list) and not _is_plain(node)
@@ -227,7 +233,7 @@ def public_names() -> set[str]:
     for path in PACKAGE.glob("*/__init__.py"):
         names.update(_exported(tree_of(path)))
     for path in PACKAGE.rglob("__init__.pyi"):
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.ImportFrom):
                 names.update(alias.asname or alias.name for alias in node.names)
     return names
@@ -237,7 +243,7 @@ def riddles() -> Names:
     # Return every place where a variable or argument has a name that says nothing of its content
     places = []
     for name, path in modules().items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             word = (
                 node.id
                 if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
@@ -255,9 +261,8 @@ def bare_refusals() -> Names:
     bare = re.compile(r"cannot be(?! [a-z])|cannot be (had|told|so)\b")
     places = []
     for name, path in modules().items():
-        tree = tree_of(path)
-        docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-        for node in ast.walk(tree):
+        docs = {id(node.value) for node in nodes_of(path) if isinstance(node, ast.Expr)}
+        for node in nodes_of(path):
             text = node.value if isinstance(node, ast.Constant) and id(node) not in docs else None
             if isinstance(text, str) and bare.search(text):
                 places += [f"{name}:{node.lineno}: {text.strip()[:60]!r}"]
@@ -282,7 +287,7 @@ def faults_without_code() -> Names:
     # Return the calls that build an error, a problem or a warning without its code
     places = []
     for name, path in modules().items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call) and name != "base.errors":
                 function = ast.unparse(node.func)
                 is_fault = function.rpartition(".")[2] in ERRORS
