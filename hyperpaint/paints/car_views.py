@@ -15,7 +15,9 @@ from hyperpaint.base import (
     BAND,
     LIBRARY_VARIABLES,
     SIGNATURE,
+    Bools,
     Floats,
+    Ints,
     Problems,
     SchemaError,
     is_number,
@@ -167,7 +169,7 @@ def _column(library: xr.Dataset, name: str, default: float = np.nan) -> Floats:
     return np.where(np.isfinite(values), values, default)
 
 
-def cars_at(latitude: Floats, longitude: Floats, distance: float) -> Floats:
+def cars_at(latitude: Floats, longitude: Floats, distance: float) -> Ints:
     # Return the number of the car (signature,) whose views all lie within a distance [m] of one another.
     #
     # Takes ``latitude``, ``longitude`` (signature,) [degree]; a signature without a place is a car by itself.
@@ -180,7 +182,7 @@ def cars_at(latitude: Floats, longitude: Floats, distance: float) -> Floats:
     return number
 
 
-def _is_stray(spectra: Floats) -> Floats:
+def _is_stray(spectra: Floats) -> Bools:
     # Views (view,) whose spectra (view, band) have another shape than the median; two views cannot decide
     if len(spectra) < 3:
         return np.zeros(len(spectra), bool)
