@@ -94,10 +94,7 @@ def of_docs(name: str) -> ModuleType:
     """Return a module of docs/, which is not a package."""
     if str(ROOT / "docs") not in sys.path:  # its modules import each other
         sys.path.append(str(ROOT / "docs"))
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module(name)
 
 
 def examples(value: Any) -> list[doctest.Example]:

@@ -32,10 +32,8 @@ _IRRADIANCE, _RADIANCE = "W m-2 nm-1", "W m-2 sr-1 nm-1"
 #: radiance by direction.
 _LIGHT = {"wavelength": "nm", "direct_normal": _IRRADIANCE, "diffuse": _IRRADIANCE}
 _AIR = {"extinction": "m-1", "path_radiance": f"{_RADIANCE} m-1"}
-#: Variables of light at the ground that depend on wavelength alone, and their units.
-TABLE_UNITS = _LIGHT | _AIR
 _RADIANCES = {"zenith": "degree", "azimuth": "degree", "radiance": _RADIANCE}
-_COLUMNS = TABLE_UNITS | _RADIANCES
+_COLUMNS = _LIGHT | _AIR | _RADIANCES
 _OTHER_NAMES = {"sun": "direct_normal", "sky": "diffuse"}
 _HEADING = re.compile(r"\s*(\w{1,40})\s*[\[(]([^\[\]()]{1,80})[\])]\s*")
 

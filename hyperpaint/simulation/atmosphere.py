@@ -78,7 +78,6 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
-from hyperpaint.io.skies import TABLE_UNITS, read_sky_csv
 from hyperpaint.light.sky_functions import FUNCTIONS, clear_sky_shares, fit_sky
 from hyperpaint.simulation.settings import moment_of
 
@@ -738,6 +737,14 @@ class BrokenClouds:
         return np.stack([np.where(is_finite, direct, 1.0), np.where(is_finite, diffuse, 1.0)])
 
 
+#: Variables of a table of light, in this order, and their units.
+_TABLE_UNITS = {
+    "wavelength": "nm",
+    "direct_normal": "W m-2 nm-1",
+    "diffuse": "W m-2 nm-1",
+    "extinction": "m-1",
+    "path_radiance": "W m-2 sr-1 nm-1 m-1",
+}
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
     "sky": ("W m-2 nm-1", "Diffuse sky irradiance of a level surface"),
@@ -994,7 +1001,7 @@ class Atmosphere:
     @classmethod
     def from_table(
         cls,
-        table: str | Path | xr.Dataset,
+        table: xr.Dataset,
         *,
         sun_zenith: float,
         sun_azimuth: float = 180.0,
@@ -1004,32 +1011,27 @@ class Atmosphere:
     ) -> Atmosphere:
         # Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
         #
-        # ``table``: A CSV file, see `hyperpaint.io.read_sky_csv`, or a Dataset from this or another reader of
-        # `hyperpaint.io.skies`. ``sky_radiance``, if any, is fitted (`hyperpaint.light.fit_sky`).
-        # ``sun_zenith``, ``sun_azimuth``, ``overcast_share``: See `Atmosphere`. ``haze``: The air before the
-        # camera, if the table does not have it; None for no air. ``name``: Name of the atmosphere; by default
-        # the name of the file.
+        # ``table``: From a reader of skies, such as `hyperpaint.io.read_sky_csv`; ``sky_radiance`` is fitted
+        # (`hyperpaint.light.fit_sky`). ``sun_zenith``, ``sun_azimuth``, ``overcast_share``: See
+        # `Atmosphere`. ``haze``: The air before the camera, if the table does not have it; None for no air.
+        # ``name``: Name of the atmosphere; by default the name of the table's file.
         #
-        # Raises `FormatError`: The table has another form; all problems are listed. Raises `SchemaError`: The
-        # sun is not above the horizon.
-        light = table if isinstance(table, xr.Dataset) else read_sky_csv(table)
+        # Raises `SchemaError`: The sun is not above the horizon.
         curves = {
-            name: np.asarray(convert(light[name].reset_coords(drop=True), units).values, np.float64)
-            for name, units in TABLE_UNITS.items()
-            if name in light.variables
+            name: np.asarray(convert(table[name].reset_coords(drop=True), units).values, np.float64)
+            for name, units in _TABLE_UNITS.items()
+            if name in table.variables
         }
         fitted = None
-        if "sky_radiance" in light:
-            fit = fit_sky(light, sun_zenith)
+        source = str(table.attrs.get("source", "the table"))
+        if "sky_radiance" in table:
+            fit = fit_sky(table, sun_zenith)
             fitted = {"clear_shares": fit["share"].transpose("function", ...).values[1:]}
             warn_if(
                 (residual := float(fit["misfit"].max())) > _MAX_RESIDUAL,
-                f"clear-sky functions fit the radiance of {light.attrs.get('source', 'the table')} with a "
-                f"residual of {residual:.0%}",
+                f"clear-sky functions fit the radiance of {source} with a residual of {residual:.0%}",
                 "sky-fit-poor",
             )
-        if name is None:
-            name = "table" if isinstance(table, xr.Dataset) else Path(table).stem
         grid, sun, sky, *air = curves.values()
         atmosphere = cls._with_haze(
             grid,
@@ -1040,7 +1042,7 @@ class Atmosphere:
             sun_zenith=sun_zenith,
             sun_azimuth=sun_azimuth,
             overcast_share=overcast_share,
-            name=name,
+            name=Path(source).stem if name is None else name,
         )
         return replace(atmosphere, extinction=air[0], path_radiance=air[1]) if air else atmosphere
 

@@ -84,6 +84,7 @@ from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.dirsig.dirsig_files import read_materials
 from hyperpaint.io.files.reading import TableReader, load_tables, values
 from hyperpaint.io.library import open_library
+from hyperpaint.io.skies import read_sky_csv
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 from hyperpaint.io.store import (
@@ -824,7 +825,7 @@ def _built_atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
         options = dict(entry.options)
         oktas = options.pop("oktas", None)
         if entry.table is not None:
-            atmosphere = Atmosphere.from_table(entry.table, **options)
+            atmosphere = Atmosphere.from_table(read_sky_csv(entry.table), **options)
         elif entry.irradiance:
             atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
         else:

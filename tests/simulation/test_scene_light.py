@@ -26,7 +26,7 @@ from support.traced_scenes import (
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, UnitsError
-from hyperpaint.io.skies import sky_dataset
+from hyperpaint.io.skies import read_sky_csv, sky_dataset
 from hyperpaint.light.sky_functions import clear_sky_shares, functions_towards
 from hyperpaint.light.sun import solar_position
 from hyperpaint.simulation.atmosphere import (
@@ -312,15 +312,14 @@ class TestTable:
 
     def test_three_columns(self, tmp_path: Path) -> None:
         path = self.write(tmp_path, f"# MODTRAN\n\n{HEADER}\n400,1,0.5\n# gap\n500,2,0.25\n")
-        made = Atmosphere.from_table(path, sun_zenith=30.0, sun_azimuth=90.0)
+        made = Atmosphere.from_table(read_sky_csv(path), sun_zenith=30.0, sun_azimuth=90.0)
         assert_allclose([made.wavelength, made.sun, made.sky], [[400.0, 500.0], [1.0, 2.0], [0.5, 0.25]])
         assert (made.extinction == 0.0).all()
         assert (made.name, made.sun_azimuth) == ("modtran", 90.0)
 
     def test_haze_where_the_table_says_nothing(self, tmp_path: Path) -> None:
-        made = Atmosphere.from_table(
-            self.write(tmp_path, f"{HEADER}\n400,1,0.5\n500,2,0.25\n"), sun_zenith=30.0, haze=Haze()
-        )
+        path = self.write(tmp_path, f"{HEADER}\n400,1,0.5\n500,2,0.25\n")
+        made = Atmosphere.from_table(read_sky_csv(path), sun_zenith=30.0, haze=Haze())
         assert_allclose(made.extinction, Haze().extinction(made.wavelength))
 
     def test_five_columns_in_other_units_and_order(self, tmp_path: Path) -> None:
@@ -329,7 +328,7 @@ class TestTable:
             "path_radiance [W m-2 sr-1 nm-1 km-1]"
         )
         path = self.write(tmp_path, f"\ufeff{header}\r\n50,0.4,0.17,1000,0.01\r\n25,0.5,0.1,2000,0.02\r\n")
-        made = Atmosphere.from_table(path, sun_zenith=30.0, haze=Haze())
+        made = Atmosphere.from_table(read_sky_csv(path), sun_zenith=30.0, haze=Haze())
         assert_allclose([made.wavelength, made.sun, made.sky], [[400.0, 500.0], [1.0, 2.0], [0.5, 0.25]])
         assert_allclose(made.extinction, [1.7e-4, 1e-4])
         assert_allclose(made.path_radiance, [1e-5, 2e-5])
@@ -359,15 +358,16 @@ class TestTable:
     )
     def test_files_that_are_none(self, tmp_path: Path, text: str | bytes, problem: str) -> None:
         with pytest.raises(FormatError, match=problem):
-            Atmosphere.from_table(self.write(tmp_path, text), sun_zenith=30.0)
+            Atmosphere.from_table(read_sky_csv(self.write(tmp_path, text)), sun_zenith=30.0)
 
     def test_units_of_another_dimension(self, tmp_path: Path) -> None:
         text = "wavelength [nm], sun [W m-2], sky [W m-2 nm-1]\n400,1,1\n500,1,1\n"
         with pytest.raises(UnitsError):
-            Atmosphere.from_table(self.write(tmp_path, text), sun_zenith=30.0)
+            Atmosphere.from_table(read_sky_csv(self.write(tmp_path, text)), sun_zenith=30.0)
 
     def test_rows_are_put_in_order(self, tmp_path: Path) -> None:
-        made = Atmosphere.from_table(self.write(tmp_path, f"{HEADER}\n500,2,1\n400,1,1\n"), sun_zenith=30.0)
+        table = read_sky_csv(self.write(tmp_path, f"{HEADER}\n500,2,1\n400,1,1\n"))
+        made = Atmosphere.from_table(table, sun_zenith=30.0)
         assert_allclose([made.wavelength, made.sun], [[400.0, 500.0], [1.0, 2.0]])
 
     @given(st.binary(max_size=300) | st.text(alphabet="waveln gth[m],su\n0159.e-#()_°٣ ", max_size=300))
@@ -376,7 +376,7 @@ class TestTable:
         for before in (b"", HEADER.encode() + b"\n"):
             content = before + (text if isinstance(text, bytes) else text.encode())
             try:
-                Atmosphere.from_table(self.write(tmp_path, content), sun_zenith=30.0)
+                Atmosphere.from_table(read_sky_csv(self.write(tmp_path, content)), sun_zenith=30.0)
             except (FormatError, UnitsError):
                 continue
 

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from support.refusals import expect_words
 from support.traced_scenes import irradiance_series
 
 import hyperpaint as hp
-from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation.atmosphere import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
@@ -316,7 +315,6 @@ REFUSED: list[tuple[type[PaintError], str, Callable[..., Any], tuple[Any, ...], 
         (SERIES.isel(irradiance_wavelength=slice(None, None, -1)),), {"sun_zenith": 1.0},
     ),
     # tables
-    (FormatError, r"none\.csv", Atmosphere.from_table, (Path("folder/none.csv"),), {"sun_zenith": 30.0}),
 ]  # fmt: skip
 
 
