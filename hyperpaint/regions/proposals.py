@@ -21,6 +21,7 @@ import dask
 import numpy as np
 import xarray as xr
 from scipy.ndimage import (
+    binary_closing,
     binary_opening,
     distance_transform_edt,
     find_objects,
@@ -54,12 +55,23 @@ from hyperpaint.base import (
 )
 from hyperpaint.geometry import locate
 from hyperpaint.geometry.georeference.locating import between_maps, crs_of
+from hyperpaint.geometry.georeference.viewing import pixel_view
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.daylight_colours import colour_name
-from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.surroundings import SceneModel, survey
-from hyperpaint.surroundings.corrections import MAX_SUN_ZENITH_DEG, shadow_side_of, split_of, sun_zenith_of
+from hyperpaint.surroundings.corrections import (
+    MAX_SUN_ZENITH_DEG,
+    MODEL_U,
+    RECORDED,
+    SUN_FROM,
+    LightSplit,
+    mirrored_sky,
+    shadow_side_of,
+    split_of,
+    sun_zenith_of,
+)
 from hyperpaint.surroundings.model import SHADED
 from hyperpaint.surroundings.segments import padded
 from hyperpaint.surroundings.surveying import flag, is_vegetation, to_channels
@@ -85,7 +97,6 @@ class SurfaceRules:
 @dataclass(frozen=True)
 class FootprintRules:
     # The footprint of a car around a piece of its paint.
-    mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
     #: Minimum cosine of the spectral angle between a pixel of the car's paint and the piece.
     min_cosine: float = float(np.cos(np.radians(7.0)))
     #: Range of the brightness of a car's paint relative to the piece [1]: first for solid paint, on parts
@@ -152,6 +163,10 @@ class RoofRules:
     max_van_roof: float = 0.78  #: Maximum of the same: a bonnet and a windscreen lie before it.
     van_sided: float = 0.15  #: Minimum share of side windows along the roof of a van [1].
     min_slenderness: float = 1.2  #: Minimum length over width of a car whose windows prove its roof [1].
+    #: Range of the length of side windows of a dark car, whose windows may mirror as much as its paint does.
+    cabin: tuple[float, float] = (0.3, 0.8)
+    cabin_roof: float = 0.36  #: Length of the part of its roof that is used, relative to these windows [1].
+    unsure_cabin: float = 0.08  #: Maximum distance of its level position from the middle of these windows.
     used_width: float = 0.75  #: Part of a roof's width that is used [1].
     roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
     min_seen: float = 0.2  #: Minimum share of a roof's tracks that show its side window [1].
@@ -173,15 +188,19 @@ class RoofRules:
 class JudgingRules:
     # Verdicts: uncertainty of the level, darker windows, flakes, and the score.
     coverage: float = 1.96  #: Standard uncertainties in half of a 95 % interval [1].
+    lobe_part: float = (
+        0.75  #: Part of the limit of the level's interval that holds near the lobe of flakes [1].
+    )
     #: Reflectance below which the limit of the level's interval stays the same in reflectance [1].
     dark: float = 0.03
     least_sd: float = 0.008  #: Relative uncertainty of a level roof: noise, dust, light of neighbours [1].
     #: Uncertainty of light added to any paint, such as by neighbours, in reflectance [1].
-    mirror_sd: float = 0.0012
-    #: Relative uncertainty of the mirrored clear sky; the light added by haze has an uncertainty of 1 [1].
-    mirror_share_sd: float = 0.25
-    covered_share_sd: float = 0.03  #: The same for an overcast sky (CIE type 1) at its zenith [1].
+    mirror_sd: float = 0.0007
+    #: Uncertainty of the light that glint adds without a visible change of brightness, relative to the glint
+    #: in the pixels [1].
+    glint_share_sd: float = 0.33
     panel_deg: float = 7.0  #: Unknown lean of a body part other than a roof [degree].
+    part_deg: float = 2.0  #: The same of a part of a roof, or of a roof that may be a bonnet [degree].
     #: Relative change of brightness with lean, in direct light, assumed for a part without a visible crown
     #: [1/rad]: that of flakes 15 to 20 degrees from their mirror direction, where most of these parts are.
     unseen_change: float = 3.0
@@ -346,6 +365,9 @@ LEVELS = LevelRules()
 FINISHES = FinishRules()
 
 
+#: Cause of uncertainty that signatures state themselves (``reflectance_u_coat``).
+MIRRORED_SKY = "the sky mirrored by its coat"
+
 #: Flags of pixels without a valid spectrum.
 _INVALID = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
 
@@ -364,16 +386,41 @@ class Picture:
     layers: Mapping[str, Array]
     zenith: float | None  #: Zenith angle of the sun [degree]; None where unknown.
     shadow_side: Floats | None = None  #: (2,): Direction (line, column) of shadows; None where unknown.
+    #: (column, 2): Angle of the camera from the vertical, and its azimuth relative to the sun [degree].
+    view: Floats | None = None
     #: Height of the surface in every pixel (line, column) [m], and the distance between pixels [m].
     heights: tuple[Array, float] | None = None
     #: Free sun between clouds, see `sunny_lines`; None where clouds were not broken.
     sun: tuple[Floats, float] | None = None
 
     @cached_property
-    def sky(self) -> Array:
-        # Sky mirrored by a level clear coat, in reflectance (channel,), float32 [1].
-        model = self.model
-        return (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
+    def sky(self) -> tuple[Array, Floats]:
+        # Sky mirrored by a level clear coat, in reflectance (column, channel), float32, and the standard
+        # uncertainty of its mean over the channels (column,) [1]; of one column where the view is unknown.
+        model, zenith = self.model, 45.0 if self.zenith is None else self.zenith
+        nm, fraction = model.channel_wavelength, np.asarray(model.diffuse_fraction, np.float64)
+        u = model.attrs.get("diffuse_fraction_u", MODEL_U * fraction * (1.0 - fraction))
+        states = set(str(model.attrs.get("sky_states", "")).split())
+        # the excess over a clear sky at 550 nm is of clouds, unless the record shows haze
+        green = np.array([int(np.abs(nm - 550.0).argmin())])
+        clear = float(diffuse_fraction(nm[green], zenith)[0])
+        cloud = float(np.clip((fraction[green[0]] - clear) / (1.0 - clear), 0.0, 1.0))
+        if states and states <= {"clear", "hazy"}:
+            cloud = 0.0
+        elif states == {"overcast"}:
+            cloud = 1.0
+        shares = xr.DataArray(np.array([fraction, u], np.float64), dims=("part", BAND))
+        split = LightSplit(nm, shares[0], shares[1], cloud, "of the scene model", RECORDED, zenith)
+        views = np.full((1, 2), np.nan) if self.view is None else self.view
+        nodes = np.unique(np.linspace(0, len(views) - 1, 9).astype(np.intp))
+        skies = [mirrored_sky(split, *map(float, views[node])) for node in nodes]
+        columns = np.arange(len(views))
+        values = np.array([np.stack([sky.values, sky_u.values]) for sky, sky_u in skies])
+        sky, sky_u = (
+            np.stack([np.interp(columns, nodes, channel) for channel in part.T], axis=1)
+            for part in values.transpose(1, 0, 2)
+        )
+        return sky.astype(np.float32), sky_u.mean(axis=1)
 
     @cached_property
     def direct_share(self) -> float:
@@ -390,9 +437,10 @@ class Picture:
         # Reflectance of the ground, the largest body (channel,) [1].
         return np.asarray(np.nan_to_num(self.model.reference[largest_body(self.model)]))
 
-    def without_sky(self, window: tuple[slice, slice]) -> Floats:
-        # Return the reflectance in a window of the picture, less the mirrored sky [1].
-        return np.asarray(self.channels[window] - self.sky, np.float64)
+    def without_sky(self, window: tuple[slice, slice]) -> Array:
+        # Return the reflectance in a window of the picture, less the mirrored sky, float32 [1].
+        sky = self.sky[0]
+        return self.channels[window] - (sky if self.view is None else sky[window[1]])
 
 
 def largest_body(model: SceneModel) -> int:
@@ -623,6 +671,27 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
     )
 
 
+def view_of(line: xr.Dataset, sun_azimuth: float | None) -> Floats | None:
+    # Return angle of the camera from the vertical and azimuth relative to the sun (column, 2) [degree].
+    #
+    # Mean over some lines; None where they are unknown. Takes ``sun_azimuth`` [degree]: by default from the
+    # clock.
+    rows = np.unique(np.linspace(0, line.sizes[ALONG_TRACK] - 1, 32).astype(np.intp))
+    lines = line.isel({ALONG_TRACK: rows})
+    view = pixel_view(lines)
+    if view is None or (sun_azimuth is None and not set(SUN_FROM) <= set(line.variables)):
+        return None
+    sun = (
+        np.full(rows.size, sun_azimuth)
+        if sun_azimuth is not None
+        else solar_position(*(lines[name].values for name in SUN_FROM))[1]
+    )
+    zenith, azimuth = (angle.transpose(*_DIMS).values for angle in view)
+    direction = np.tan(np.radians(zenith)) * np.exp(1j * np.radians(azimuth - sun[:, None]))
+    mean = direction.mean(axis=0)
+    return np.asarray(np.degrees(np.stack([np.arctan(np.abs(mean)), np.angle(mean)], axis=1)))
+
+
 # --- lean of a roof towards the sun: its prior uncertainty, and its estimate from a height model -----------
 
 
@@ -799,7 +868,7 @@ def _matched_colour(
     colour: Floats, picture: Picture, window: tuple[slice, slice], wide_brightness: bool
 ) -> tuple[Bools, Bools, Bools, Floats]:
     # Pixels (line, column) of paint, of ground, and darker than paint; brightness relative to the paint
-    spectra = picture.channels[window] - picture.sky
+    spectra = picture.without_sky(window)
     length = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", spectra, spectra)), np.float32(1e-9))
     colour_length, ground_length = float(np.linalg.norm(colour)), float(np.linalg.norm(picture.ground))
     brightness = (spectra @ (colour / colour_length**2).astype(np.float32)).astype(np.float64)
@@ -811,6 +880,10 @@ def _matched_colour(
     is_ground_bright = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
     is_closer = (paint_cosine > ground_cosine) | ~is_ground_bright
     paint = (paint_cosine > FOOTPRINTS.min_cosine) & (brightness > low) & (brightness < high) & is_closer
+    if is_dark:
+        # a cast shadow may be as dark as the paint
+        model = picture.model
+        paint &= ~np.append(model.state == SHADED, False)[model.segment[window]]
     ground = ~paint & is_ground_bright & (ground_cosine > FOOTPRINTS.min_cosine)
     return paint, ground, ~paint & (length < low * colour_length), brightness
 
@@ -954,6 +1027,7 @@ class Roof(NamedTuple):
     complete: bool  #: Whether it lies between two windows with paint beyond both.
     sided: bool  #: Whether a window at its end has a bonnet beyond, and side windows run along it.
     window_level: float  #: Median mean reflectance of the windows at its ends [1].
+    is_whole: bool = True  #: Whether it has side windows, which bonnets lack, and no sunroof beside it.
 
 
 class NoRoof(NamedTuple):
@@ -992,12 +1066,13 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     paint_level = float(np.median(level[car.paint & car.area]))
     limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
     glass = np.asarray(~car.paint & car.area & (level < limit))
-    roof = _roof_along(car, glass, level)
+    is_dark = paint_level < SURFACES.dark
+    roof = _roof_along(car, glass, level, is_dark=is_dark)
     if isinstance(roof, Roof) or not car.cut:
         return roof
     # the longer side of a car cut off by the picture's edge may be its width
     turned_roof = _roof_along(
-        car._replace(axis=_aside(car), length=car.width, width=car.length), glass, level
+        car._replace(axis=_aside(car), length=car.width, width=car.length), glass, level, is_dark=is_dark
     )
     return roof if isinstance(turned_roof, NoRoof) else turned_roof
 
@@ -1007,14 +1082,11 @@ def _aside(car: Footprint) -> Floats:
     return np.array([car.axis[1], -car.axis[0]])
 
 
-def _roof_along(car: Footprint, glass: Bools, level: Floats) -> Roof | NoRoof:
+def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -> Roof | NoRoof:
     y, x = np.indices(car.area.shape, np.float64)
     y, x = y - car.centre[0], x - car.centre[1]
     across = (y * car.axis[1] - x * car.axis[0]) / (0.5 * car.width)
     tracks = _Tracks(y * car.axis[0] + x * car.axis[1] + 0.5 * car.length, across, glass, level)
-    runs = _runs(car, tracks)
-    if not any(run.is_window for run in runs):
-        return NoRoof("no window crosses it: it may not belong to a car", False)
     # Tracks with side windows (track,), on the side with more of them.
     # Beyond a window there is a lit door; beyond dark pixels of the car's shadow nothing is lit.
     count = round(car.length)
@@ -1028,6 +1100,10 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats) -> Roof | NoRoof:
         window = tracks.glass & (aside > ROOFS.middle) & (aside < outermost[track])
         side_windows.append(np.bincount(track[window], minlength=count) >= ROOFS.min_window_px)
     beside = max(side_windows, key=lambda windows: int(windows.sum()))
+    runs = _runs(car, tracks)
+    cabin = _cabin_roof(car, tracks, beside) if is_dark else None
+    if cabin is None and not any(run.is_window for run in runs):
+        return NoRoof("no window crosses it: it may not belong to a car", False)
 
     def sided(run: _Run) -> float:
         # Share of a section with side windows
@@ -1069,11 +1145,52 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats) -> Roof | NoRoof:
             1 < number < len(runs) - 2 and is_between,
             has_bonnet and sided(run) > ROOFS.surely_sided,
             float(np.median(level[of_windows])) if of_windows.any() else np.nan,
+            unsure <= ROOFS.unsure * car.length and (len(windows) < 2 or sided(run) > ROOFS.van_sided),
         )
+    if cabin is not None and not (best is not None and (best.complete or best.sided)):
+        return cabin
     if best is not None:
         return best
     is_car = car.is_one_car and float(beside.mean()) > ROOFS.van_sided
     return NoRoof("no roof: no section lies between windows, or is longer than a bonnet", is_car)
+
+
+def _cabin_roof(car: Footprint, tracks: _Tracks, beside: Bools) -> Roof | None:
+    # Roof of a car as dark as its windows: the middle of the section (track,) with windows beside it.
+    # Its windscreen shows the same sky as its paint, and may show the sun; side windows lean, and are darker.
+    pillars = np.ones(2 * round(0.5 * ROOFS.max_strip * car.length) + 1, bool)
+    joined = binary_opening(binary_closing(beside, pillars), pillars)
+    cabins, count = label(joined)
+    if not car.is_one_car or not count:
+        return None
+    longest = int(np.argmax(np.bincount(cabins)[1:])) + 1
+    (tracks_of_cabin,) = find_objects(cabins)[longest - 1]
+    start, stop = tracks_of_cabin.start, tracks_of_cabin.stop
+    share = (stop - start) / car.length
+    if not ROOFS.cabin[0] < share < ROOFS.cabin[1]:
+        return None
+    middle, half = 0.5 * (start + stop), 0.5 * ROOFS.cabin_roof * (stop - start)
+    run = _Run(round(middle - half), round(middle + half), False)
+    centre, half_width, unsure_across, _ = _sides(car, tracks, run)
+    inside = car.area & tracks.within(run) & (np.abs(tracks.across - centre) < ROOFS.used_width * half_width)
+    windows = car.area & tracks.glass & tracks.within(run) & ~inside
+    if not inside.any() or not windows.any():
+        return None
+    line, column = (
+        car.centre + (middle - 0.5 * car.length) * car.axis + 0.5 * car.width * centre * _aside(car)
+    )
+    return Roof(
+        inside,
+        (float(line), float(column)),
+        car.axis,
+        ROOFS.unsure_cabin * car.length,
+        unsure_across,
+        f"a roof: the middle of a cabin with side windows along {share:.0%} of the car",
+        share,
+        False,
+        True,
+        float(np.median(tracks.level[windows])),
+    )
 
 
 def _judge_run(
@@ -1296,31 +1413,27 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level, l
     zenith, direct = 45.0 if picture.zenith is None else picture.zenith, picture.direct_share
     slope = direct * change_with_lean(zenith)
     # the signature excludes the mirrored sky, too
-    model = picture.model
-    mirrored = FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
+    columns = slice(None) if picture.view is None else verdict.piece.window[1]
+    mirrored, mirrored_u = (float(part[columns].mean()) for part in picture.sky)
     brightness = max(float(measures.spectrum.mean()) - mirrored, 1e-3)
-    # haze makes a sky brighter than a clear one, and uneven, mostly around the sun; an overcast sky is even
-    haze = (1.0 - direct) / float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean()) - 1.0
-    clear_part = direct * float(np.hypot(JUDGING.mirror_share_sd, haze))
-    mirror_share_sd = clear_part + (1.0 - direct) * JUDGING.covered_share_sd
+    has_lobe = direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope
     contributions = {
         "noise and dust": JUDGING.least_sd,
         f"an unknown lean of {rake:.1f} degrees": float(np.radians(rake)) * max(slope, level.lean_change),
         "the position where it is level": level.sd,
-        "the sky mirrored by its coat": mirror_share_sd * mirrored / brightness,
+        MIRRORED_SKY: mirrored_u / brightness,
+        "glint in its pixels": 0.0 if has_lobe else JUDGING.glint_share_sd * measures.glint,
         "its low reflectance": JUDGING.mirror_sd / brightness,
         "broken clouds": GAPS.sd if picture.sun is not None else 0.0,
     }
     verdict.level_terms, verdict.lean = contributions, rake
     allowed = limits["max_level_u"] * max(1.0, JUDGING.dark / brightness)
+    if has_lobe:  # over an uncertain lean, the slope of a lobe changes, too
+        allowed *= JUDGING.lobe_part
     half_width = JUDGING.coverage * verdict.level_sd
     largest = max(contributions, key=contributions.__getitem__)
     text = f"its level is within {half_width:.1%} (95 %), mainly for {largest}"
-    if (
-        level.is_measured
-        and direct > JUDGING.min_direct
-        and level.lean_change > JUDGING.max_solid_gain * slope
-    ):
+    if has_lobe and level.is_measured:
         text += (
             f"; its brightness changes by {np.radians(level.lean_change):.0%} a degree of lean, like flakes"
         )
@@ -1501,8 +1614,7 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> tuple[flo
     chosen = piece.inside & (np.abs(relative - 1.05) < 0.55)
     if chosen.sum() < FINISHES.min_px:
         return None
-    sky = FOOTPRINTS.mirrored * diffuse * picture.model.zenith_radiance
-    body, relative = picture.channels[piece.window][chosen].astype(np.float64) - sky, relative[chosen]
+    body, relative = picture.without_sky(piece.window)[chosen].astype(np.float64), relative[chosen]
     low, high = np.quantile(relative, [0.25, 0.75])
     difference = body[relative >= high].mean(axis=0) - body[relative <= low].mean(axis=0)
     spectrum, direct = body.mean(axis=0), 1.0 - diffuse
@@ -1752,6 +1864,8 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
     brightness = footprint.brightness[window_of((y, x), piece.inside)]
     prior = lean_to_sun(roof.axis, picture.shadow_side)
+    if not roof.is_whole:
+        prior = float(np.hypot(prior, JUDGING.part_deg))
     lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits["shadow"])
     # where it is level, by its edges, and by the height model
     place = level_place(footprint, roof)
@@ -1993,9 +2107,12 @@ def propose_regions(
       no neighbour is higher.
     * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
       degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
-      crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. The
-      mirrored sky adds an uncertainty that grows with haze. The property ``level_uncertainty`` holds it, and
-      ``level_terms`` its contributions; a region is refused if 1.96 times of it exceeds ``max_level_u``.
+      crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. A roof
+      without side windows may be a bonnet; it and a strip beside a sunroof lean by 2 degrees more. A third
+      of the glint in its pixels, and the sky that the coat mirrors to the camera, are uncertain, too. A
+      region is refused if 1.96 times the result exceeds ``max_level_u``, near the lobe of flakes 3/4 of it.
+      The property ``level_terms`` holds the contributions, and ``level_uncertainty`` their sum without the
+      mirrored sky, which signatures state themselves.
       Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
       that shows cars, lean and level place are also estimated from them.
     * Under broken clouds a car is judged only where the record had free sun for 4 s before and after, and a
@@ -2009,8 +2126,10 @@ def propose_regions(
       but has no usable pixels, and the part's level is certain enough. Pixels without glint, shadow or light
       from coloured neighbours are used, with a brightness within 3 % of the part's median. Its colour and
       brightness must agree with the roof, and differ from the ground.
-    * Black paint is distinguished from windows by still darker windows, and a black roof by paint beyond both
-      its windows, or by a bonnet before the windscreen and windows along it.
+    * Black paint is distinguished from windows by still darker windows, and from cast shadows by those of the
+      scene model. A black roof lies between windows with paint beyond both, or has a bonnet before its
+      windscreen and windows along it. Else it is the middle of the side windows, which are darker as they
+      lean: windscreens mirror as much sky as the paint.
     * Each car gives one region.
 
     Parameters
@@ -2052,9 +2171,10 @@ def propose_regions(
         ("solid", "metallic", "unknown"), ``place`` (line and column of its centre, and position),
         ``latitude``, ``longitude`` [degree, WGS 84] where the line has ground positions, or poses and the
         height of the ground, as `hyperpaint.geometry.locate` takes them, ``level_uncertainty`` (standard,
-        relative) [1], ``level_terms`` (its contributions by cause, of which it is the root of the sum of
-        squares) [1], ``lean`` (standard deviation) [degree], ``pixels``, ``spectral_angle`` [degree],
-        ``brightness_spread``, ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1],
+        relative, without that of the mirrored sky) [1], ``level_terms`` (standard contributions to the
+        uncertainty of the level by cause, relative) [1], ``lean`` (standard deviation) [degree],
+        ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``, ``glint``,
+        ``blocked_direct``, ``adjacency`` [1],
         ``excluded_flags`` (see `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused``
         holds the refused pieces, with objections in the property ``refused``; see `Proposals` for pieces in
         neither.
@@ -2135,7 +2255,8 @@ def propose_regions(
             raise
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
-    picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
+    view = view_of(line, options.get("sun_azimuth"))
+    picture = Picture(scene, *_read(line, scene), zenith, side, view, height_model_of(line), sun)
     painted, judged = [], []
     for piece, is_scenery in pieces(scene, erode, max(min_pixels // 4, 1)):
         if is_scenery:
@@ -2242,7 +2363,11 @@ def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, 
         "glint": measures.glint,
         "blocked_direct": measures.shadow,
         "adjacency": measures.adjacency,
-        "level_uncertainty": verdict.level_sd,
+        "level_uncertainty": float(
+            np.hypot.reduce(
+                [sd for cause, sd in verdict.level_terms.items() if cause != MIRRORED_SKY] or [np.nan]
+            )
+        ),
         "lean": verdict.lean,
     }
     properties = {

@@ -10,6 +10,7 @@ import pytest
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions.proposals import (
     JOININGS,
+    MIRRORED_SKY,
     Car,
     Footprint,
     Level,
@@ -21,6 +22,8 @@ from hyperpaint.regions.proposals import (
     Roof,
     Verdict,
     _CarPark,
+    _region,
+    change_with_lean,
     find_cars,
     find_roof,
     footprints_of,
@@ -32,6 +35,7 @@ from hyperpaint.regions.proposals import (
     measured,
     pieces,
 )
+from hyperpaint.surroundings.model import SHADED
 
 NM = np.linspace(412.0, 988.0, 24)
 AXIS = np.array([0.0, 1.0])
@@ -64,8 +68,8 @@ def picture_of(
     table, count = np.stack([GROUND, *spectra]), len(spectra) + 1
     sizes = np.array([number.size, *[1] * len(spectra)])
     model: Any = SimpleNamespace(
-        channel_wavelength=NM, diffuse_fraction=np.broadcast_to(diffuse, 24), zenith_radiance=np.ones(24),
-        spectrum=table, reference=table, body=np.arange(count, dtype=np.int32), size=sizes, segments=count,
+        attrs={}, channel_wavelength=NM, diffuse_fraction=np.broadcast_to(diffuse, 24), spectrum=table,
+        reference=table, body=np.arange(count, dtype=np.int32), size=sizes, segments=count,
         segment=number, state=np.zeros(count, np.int8), edge_distance=np.full(number.shape, 99, np.uint8),
     )  # fmt: skip
     zero = np.zeros(number.shape)
@@ -118,29 +122,41 @@ def test_pixels__may_differ_a_little(level: float, step: float, spike: float, us
 # --- verdicts ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("diffuse", "mirror_share"),
-    [(diffuse_fraction(NM, 45.0), 0.25), (np.ones(24), 0.03)],
-    ids=["clear", "covered"],
-)
 @pytest.mark.parametrize("brightness", [0.03, 0.5])
 @pytest.mark.parametrize("clouds", [0.0, 0.025])
-def test_level__is_as_uncertain_as_its_parts(
-    diffuse: Floats, mirror_share: float, brightness: float, clouds: float
-) -> None:
-    picture = picture_of(diffuse=diffuse, sun=(np.ones(40, bool), 0.1) if clouds else None)
-    mirrored = 0.04 * diffuse.mean()
-    verdict = verdict_of(brightness + mirrored)
+def test_level__is_as_uncertain_as_its_parts(brightness: float, clouds: float) -> None:
+    # A third of the glint is a contribution; signatures state the uncertainty of the mirrored sky themselves
+    picture = picture_of(diffuse=diffuse_fraction(NM, 45.0), sun=(np.ones(40, bool), 0.1) if clouds else None)
+    sky, sky_u = (float(part.mean()) for part in picture.sky)
+    verdict = verdict_of(brightness + sky, glint=0.03)
     judge_level(verdict, picture, 0.0, Level(), LIMITS)
-    direct = 1.0 - diffuse.mean()
-    sky = (direct * mirror_share + (1.0 - direct) * 0.03) * mirrored / brightness
-    assert verdict.level_sd == pytest.approx(np.hypot.reduce([0.008, sky, 0.0012 / brightness, clouds]))
+    parts = [0.008, 0.0099, 0.0007 / brightness, clouds]
+    assert verdict.level_sd == pytest.approx(np.hypot.reduce([*parts, sky_u / brightness]))
+    stated = _region(verdict, "roof", "", {}).properties
+    assert stated["level_uncertainty"] == pytest.approx(np.hypot.reduce(parts), abs=1e-5)
+    assert stated["level_terms"][MIRRORED_SKY] == pytest.approx(sky_u / brightness, abs=1e-5)
+
+
+def test_sky__is_that_of_the_direction_of_the_view() -> None:
+    # Expected: by column the sky that a level coat mirrors to the camera, darker away from the sun
+    view = np.stack([np.abs(np.linspace(-20.0, 20.0, 40)), np.repeat([0.0, 180.0], 20)], axis=1)
+    picture = picture_of(diffuse=diffuse_fraction(NM, 45.0), view=view)
+    sky, sky_u = picture.sky
+    assert sky.shape == (40, 24)
+    assert sky_u.shape == (40,)
+    # the camera behind the sun's azimuth sees the sky opposite to the sun
+    assert (sky[0] < sky[19]).all()
+    assert (sky[19] < sky[-1]).all()
+    window = np.s_[3:5, 7:9]
+    np.testing.assert_array_equal(picture.without_sky(window), picture.channels[window] - sky[7:9])
 
 
 def verdict_of(level: float, **measures: Any) -> Verdict:
     piece = Piece(0, (0, 0), np.ones((8, 8), bool))
     return Verdict(
-        piece, Measures(piece.inside, np.full(24, level), {}, **{"pixels": 64, **measures}), "roof"
+        piece,
+        Measures(piece.inside, np.full(24, level), {}, **{"pixels": 64, "glint": 0.0, **measures}),
+        "roof",
     )
 
 
@@ -158,13 +174,37 @@ def verdict_of(level: float, **measures: Any) -> Verdict:
 def test_level__is_known_within_the_limit(
     sd: float, brightness: float, max_level_u: float, is_refused: bool
 ) -> None:
-    # Without diffuse light no sky is mirrored; the other contributions are 0.008 and 0.0012 in reflectance
+    # Without diffuse light no sky is mirrored; the other contributions are 0.008 and 0.0007 in reflectance
     picture, verdict = picture_of(), verdict_of(brightness)
-    level_sd = np.sqrt(sd**2 - 0.008**2 - (0.0012 / brightness) ** 2)
+    level_sd = np.sqrt(sd**2 - 0.008**2 - (0.0007 / brightness) ** 2)
     judge_level(verdict, picture, 0.0, Level(sd=level_sd), {**LIMITS, "max_level_u": max_level_u})
     assert verdict.level_sd == pytest.approx(sd)
     assert bool(verdict.objections) == is_refused
     assert verdict.level_terms["the position where it is level"] == level_sd
+
+
+@pytest.mark.parametrize(
+    ("sd", "lean", "direct", "is_refused"),
+    [
+        (0.056, 3.2, 0.9, False),  # in the lobe of flakes, from three times a solid body on, 3/4 of the limit
+        (0.059, 3.2, 0.9, True),
+        (0.059, 2.8, 0.9, False),
+        (0.056, 4.0, 0.55, False),  # where half of the light is direct
+        (0.059, 4.0, 0.55, True),
+        (0.059, 4.0, 0.45, False),
+    ],
+)
+def test_level__near_the_lobe_of_flakes_has_a_lower_limit(
+    sd: float, lean: float, direct: float, is_refused: bool
+) -> None:
+    # Paint of 50 mirrors no sky to speak of
+    picture, verdict = (
+        picture_of(diffuse=1.0 - direct),
+        verdict_of(50.0, glint=0.5 if lean > 3.0 and direct > 0.5 else 0.0),
+    )
+    level = Level(1.0, np.sqrt(sd**2 - 0.008**2), lean * direct * change_with_lean(45.0))
+    judge_level(verdict, picture, 0.0, level, LIMITS)
+    assert bool(verdict.objections) == is_refused
 
 
 def car_of(paint: float, roof: float, windows: float, complete: bool = True) -> tuple[Car, Picture]:
@@ -473,6 +513,47 @@ def test_cars__are_not_larger_than_others(lengths: tuple[int, ...], has_roof: bo
     assert len(cars) == len(lengths)
     largest = max(cars, key=lambda car: car.size)
     assert isinstance(largest.roof, Roof) == has_roof
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "level", "is_roof"),
+    [
+        (20, 48, 0.02, False),  # side windows along 30 to 80 % of a car
+        (20, 54, 0.02, True),
+        (12, 90, 0.02, True),
+        (8, 92, 0.02, False),
+        (20, 54, 0.06, False),  # that is as dark as its windows
+    ],
+)
+def test_roofs__of_dark_cars_lie_between_side_windows(
+    first: int, last: int, level: float, is_roof: bool
+) -> None:
+    # No window crosses the car: its windscreens mirror as much sky as its paint
+    shown = np.full((40, 100), level)
+    shown[3:6, first:last] = shown[34:37, first:last] = 0.4 * level
+    car = Footprint(
+        (0, 0), shown == level, np.ones(shown.shape, bool), shown / level, AXIS, np.array([19.5, 49.5]),
+        100.0, 40.0, False,
+    )  # fmt: skip
+    roof = find_roof(car, shown)
+    assert isinstance(roof, Roof) is is_roof
+    if isinstance(roof, Roof):
+        # its middle, in which pixels are kept
+        assert roof.centre[1] == pytest.approx(0.5 * (first + last) - 0.5, abs=1.0)
+        assert np.ptp(np.nonzero(roof.inside)[1]) < 0.4 * (last - first)
+        assert roof.window_level == pytest.approx(0.4 * level)
+
+
+@pytest.mark.parametrize(("is_shaded", "length"), [(False, 60), (True, 40)])
+def test_footprints__of_dark_paint_end_at_cast_shadows(is_shaded: bool, length: int) -> None:
+    # A shadow beside black paint is as dark, and has its colour
+    number = np.zeros((60, 120), np.int32)
+    number[18:42, 30:70], number[18:42, 70:90] = 1, 2
+    picture = picture_of(0.02 * np.ones(24), 0.02 * np.ones(24), number=number)
+    picture.model.state[2] = SHADED if is_shaded else 0
+    seed = np.ones((24, 40), bool)
+    (footprint,) = footprints_of(seed, (18, 30), 0.02 * np.ones(24), picture, JOININGS[:1])
+    assert footprint.area.any(axis=0).sum() == length
 
 
 # --- which pixels are windows ------------------------------------------------------------------------------
