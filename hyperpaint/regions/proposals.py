@@ -47,7 +47,7 @@ from hyperpaint.base import (
     Progress,
     Quality,
     SchemaError,
-    documented,
+    as_progress,
     flag_names,
     is_number,
     schema,
@@ -1705,9 +1705,10 @@ class Car(NamedTuple):
         return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))
 
 
-def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
+def find_cars(pieces: Iterable[Piece], picture: Picture, progress: Progress | None = None) -> list[Car]:
     # Return the cars around pieces of paint, the most certain first.
     #
+    # ``progress`` counts the pieces of the first round, which takes longest, as a share of the lines.
     # The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
     # car. A piece with less evidence is a car only outside the certain cars.
     car_park = _CarPark(picture)
@@ -1718,7 +1719,8 @@ def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
 
     # certain cars with paint of narrow brightness, then again without footprints larger than most cars
     narrow, wide = JOININGS[:4], JOININGS[4:]
-    uncertain = car_park.add_certain([Car([piece]) for piece in sorted(pieces, key=order)], narrow, np.inf)
+    singles = [Car([piece]) for piece in sorted(pieces, key=order)]
+    uncertain = car_park.add_certain(singles, narrow, np.inf, progress)
     max_size = car_park.max_size
     uncertain += car_park.add_certain(
         [Car([piece]) for piece in car_park.remove_larger(max_size)], narrow, max_size
@@ -1746,11 +1748,17 @@ class _CarPark:
         return CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
 
     def add_certain(
-        self, cars: list[Car], joinings: Sequence[tuple[bool, bool, bool]], max_size: float
+        self,
+        cars: list[Car],
+        joinings: Sequence[tuple[bool, bool, bool]],
+        max_size: float,
+        progress: Progress | None = None,
     ) -> list[Car]:
         # Add the certain cars around pieces; return the best cars around the other pieces
-        uncertain = []
-        for best in cars:
+        uncertain, lines = [], len(self._area)
+        for done, best in enumerate(cars, start=1):
+            if progress is not None:
+                progress(lines * done // len(cars), lines)
             piece = best.pieces[0]
             if self.assign(piece):
                 continue
@@ -2067,7 +2075,6 @@ class Proposals(Regions):
 
 
 @takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
-@documented(progress="survey progress")
 def propose_regions(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
@@ -2088,7 +2095,8 @@ def propose_regions(
 ) -> Proposals:
     r"""Propose regions of car paint, best first, each with its reasons, and list the refused pieces.
 
-    Eager: reads the line once, and once more for the scene model without ``model``. Results have the same
+    Eager: reads the line once, and once more for the scene model without ``model``. Layers of
+    `hyperpaint.surroundings.flag` that the line has are used. Results have the same
     bits for any chunking. The rules use only the common proportions of cars:
 
     * Pieces are connected parts of a body of the scene model, away from its edges, not in cast shadow,
@@ -2161,6 +2169,7 @@ def propose_regions(
         second red paint from the start, whatever ``most`` is; `hyperpaint.light.daylight_colours.COLOURS`
         lists the words.
     progress
+        See `hyperpaint.surroundings.survey`, which reports first without ``model``; then the search for cars.
     **options
         Options of `hyperpaint.surroundings.survey`; ``sun_zenith`` also applies with ``model``.
 
@@ -2265,7 +2274,7 @@ def propose_regions(
             judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
         else:
             painted.append(piece)
-    for car in find_cars(painted, picture):
+    for car in find_cars(painted, picture, as_progress(progress, "cars")):
         judged += judge_car(car, picture, limits)
     # Accepted pieces by score, and refused pieces with their objections
     places = _Places(line, scene.channel_wavelength, name)
@@ -2338,8 +2347,9 @@ def _centre(verdict: Verdict) -> Array:
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    # The line in the model's channels (line, column, channel), and its variables `_LAYERS`, by one pass
-    flagged = flag(line, model)
+    # The line in the model's channels (line, column, channel), and its variables `_LAYERS`, by one pass;
+    # a line that was flagged is not flagged again
+    flagged = line if set(_LAYERS[:3]) <= set(line.variables) else flag(line, model)
     quality = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
     numbers = dask.delayed(model.channel)

@@ -15,7 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.regions import pixels_of
+from hyperpaint.regions import pixels_of, proposals
 from hyperpaint.regions.proposals import (
     Level,
     Measures,
@@ -373,6 +373,21 @@ def test_proposals__do_not_depend_on_chunks(car: tuple[xr.Dataset, Any]) -> None
         assert propose(line.chunk(chunks), flightline="raw_0").digest == whole.digest
     lazy = line.chunk(cross_track=11)
     assert lazy.paint.propose_regions(sun_zenith=ZENITH, flightline="raw_0").digest == whole.digest
+
+
+def test_flagged_lines__are_not_flagged_again(
+    car: tuple[xr.Dataset, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Expected: the proposals of the line without flags; progress ends at all lines
+    line, whole = car
+    model = hp.surroundings.survey(line, sun_zenith=ZENITH)
+    flagged = hp.surroundings.flag(line, model)
+    monkeypatch.setattr(proposals, "flag", None)
+    calls: list[tuple[int, int]] = []
+    found = propose(flagged, model=model, flightline="raw_0", progress=lambda *done: calls.append(done))
+    assert (found.digest, found.refused.digest) == (whole.digest, whole.refused.digest)
+    assert calls == sorted(calls)
+    assert calls[-1] == (70, 70)
 
 
 def test_proposals__go_into_a_file_and_back_and_on_a_crop(car: tuple[xr.Dataset, Any], tmp_path: Any) -> None:
