@@ -280,15 +280,15 @@ def test_uncertain_levels__are_of_flakes_haze_and_low_suns() -> None:
     # either under a clear sky
     clear = hp.surroundings.survey(parked(), sun_zenith=45.0)
     covered = replace(clear, diffuse_fraction=np.ones_like(clear.diffuse_fraction))
-    verdicts, limits = {}, {"max_level_u": 0.08}
-    for sky, model in (("clear", clear), ("covered", covered)):
-        picture = Picture(model, np.empty(0), {}, 45.0)
+    of_skies, limits = {}, {"max_level_u": 0.08}
+    for sky, scene in (("clear", clear), ("covered", covered)):
+        picture = Picture(scene, np.empty(0), {}, 45.0)
         for level in (0.08, 0.7):
-            verdict = verdicts[sky, level] = roof_of(level + float(picture.sky[0].mean()))
+            verdict = of_skies[sky, level] = roof_of(level + float(picture.sky[0].mean()))
             judge_level(verdict, picture, 0.5, Level(1.0, 0.01, 0.9), limits)
-    refused = [key for key, verdict in verdicts.items() if verdict.objections]
+    refused = [key for key, verdict in of_skies.items() if verdict.objections]
     assert refused == [("covered", 0.08)]
-    assert "mirrored" in verdicts["covered", 0.08].objections[0]
+    assert "mirrored" in of_skies["covered", 0.08].objections[0]
     # Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN.
     verdict = roof_of(0.3)
     judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level(), limits)
@@ -296,9 +296,9 @@ def test_uncertain_levels__are_of_flakes_haze_and_low_suns() -> None:
     # Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud
     # Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast
     # sky it is proposed, of a level within 2 %
-    clear = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model", max_level_u=0.08)
-    assert len(clear) == 0
-    assert any("higher sun" in text for one in clear.refused for text in one.properties["refused"])
+    low_sun = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model", max_level_u=0.08)
+    assert len(low_sun) == 0
+    assert any("higher sun" in text for one in low_sun.refused for text in one.properties["refused"])
     (region,) = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse=np.full(NM.size, 0.98))
     assert region.properties["level_uncertainty"] < 0.02
 
