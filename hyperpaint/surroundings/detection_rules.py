@@ -157,7 +157,7 @@ class ShadowRules:
     min_clear_sky: float = 0.45  #: Minimum amount of the sky's light in a clear shadow [1].
     max_clear_misfit: float = 0.035  #: Maximum misfit of a clear shadow, relative to the reflectance [1].
     #: Maximum misfit of a shadow that touches its lit body, relative to the reflectance [1].
-    max_misfit: float = 0.045
+    max_misfit: float = 0.065
     min_ground_share: float = 0.1  #: Minimum share of all shadows on a body that is ground [1].
     #: Maximum mean reflectance of ground other than the largest segment: brighter are white cars [1].
     max_ground_level: float = 0.5
@@ -214,6 +214,7 @@ class ShadowRules:
     #: wrong.
     min_agreement: float = -0.3
     min_coherence: float = 0.6  #: Minimum agreement of borders on the observed side of shadows [1].
+    min_enclosed_sky: float = 0.1  #: Minimum amount of the sky's light in such a shadow [1].
     #: Maximum misfit of a shadow that is found by its spectrum alone, relative to the reflectance [1].
     max_spectral_misfit: float = 0.02
     #: Maximum direct light, and maximum light of a neighbour, in such a shadow [1].

@@ -293,6 +293,7 @@ def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Sc
         & (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct)
         & (level < SHADOWS.max_lit_level)
         & (mixtures.sky * level > DARK_COATS.max_mirrored)
+        & (mixtures.sent < SHADOWS.max_sent * (1.0 - mixtures.sky))
         & (length >= SHADOWS.min_contact_sides)
         & (length > SHADOWS.sure_border * scene.border[mixtures.segment])
         & (away < -SHADOWS.sideways * length)
@@ -420,6 +421,8 @@ def _extend(
     object_shadows = fits & ~on_ground & (mixtures.misfit < max_misfit)
     # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
     markings = (
+    enclosable = best & ~faces_sun & (mixtures.misfit < SHADOWS.max_dim_misfit)
+    enclosable &= (mixtures.direct < SHADOWS.max_enclosed_direct) & (mixtures.sky > SHADOWS.min_enclosed_sky)
         object_shadows
         & (mixtures.sky > SHADOWS.min_marking_sky)
         & (mixtures.direct < SHADOWS.max_marking_direct)
@@ -433,12 +436,11 @@ def _extend(
             / segment_border
             for mask in (shaded, shaded & ground[body])
         )
-        enclosed = (mixtures.direct < SHADOWS.max_enclosed_direct) & (beside_shadow > SHADOWS.enclosed)
         enough = (
             (ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next)))
             | (object_shadows & bright & (beside_shadow > SHADOWS.next))
             | (markings & (beside_ground_shadow > SHADOWS.next_marking))
-            | (best & ~faces_sun & enclosed)
+            | (enclosable & (beside_shadow > SHADOWS.enclosed))
         )
         if not _assign(mixtures, enough, state, body):
             break
