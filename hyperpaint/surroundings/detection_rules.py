@@ -86,6 +86,8 @@ class LobeRules:
     #: Minimum of the third darkest ring pixel, relative to the median of the ring: with darker pixels it lies
     #: beside an edge [1].
     min_evenness: float = 0.7
+    #: Reflectance above which a pixel is a sharp core, whatever is around it [1]: flakes reach 2.5.
+    min_mirrored: float = 3.0
     min_excess: float = 0.02  #: Minimum reflectance that a sharp core adds [1].
     #: Maximum standard deviation over the channels of a core's excess over direct light, relative to its mean
     #: [1].
@@ -93,9 +95,16 @@ class LobeRules:
     halo_px: float = 2.0  #: Distance from the core up to which its lobe reaches, constant part [pixel].
     sharp_halo: float = 2.0  #: The same, part proportional to the half width of the core [1].
     max_sharp_px: float = 14.0  #: Maximum distance that the lobe of a sharp core reaches [pixel].
+    #: Number of times that a lobe reaches on from its end, along a streak: one for so many pixels of core,
+    #: and the maximum.
+    growth_px: int = 8
+    growths: int = 5
+    #: Minimum brightness of such an end, relative to the broad lobe [1]: a lean to the sun adds less.
+    beyond_lean: float = 1.3
     around_px: int = 4  #: Width of the surroundings beyond the lobe for the fit of the broad lobe [pixel].
     min_ring_px: int = 9  #: Minimum number of pixels of the surroundings.
     min_ring_share: float = 0.5  #: Minimum share of the surroundings that belongs to one body [1].
+    beside_px: int = 3  #: Distance within which a lobe is brighter than its body on both sides [pixel].
     rounds: int = 8  #: Maximum number of iterations that exclude pixels brighter than the broad lobe.
     noise: float = 0.002  #: Relative noise of brightness, added to the spread of the surroundings [1].
     min_share: float = 0.04  #: Minimum excess of a lobe over the broad lobe, relative to the broad lobe [1].
@@ -205,6 +214,7 @@ class ShadowRules:
     #: Minimum share of the border that touches shadows for a shadow with more direct light [1].
     enclosed: float = 0.7
     max_enclosed_direct: float = 0.25  #: Maximum direct light of such a shadow [1].
+    min_enclosed_sky: float = 0.1  #: Minimum amount of the sky's light in such a shadow [1].
     #: Maximum brightness of single pixels deep in a shadow, relative to their body [1]: no texture is that
     #: dark.
     max_deep_level: float = 0.4
@@ -214,7 +224,6 @@ class ShadowRules:
     #: wrong.
     min_agreement: float = -0.3
     min_coherence: float = 0.6  #: Minimum agreement of borders on the observed side of shadows [1].
-    min_enclosed_sky: float = 0.1  #: Minimum amount of the sky's light in such a shadow [1].
     #: Maximum misfit of a shadow that is found by its spectrum alone, relative to the reflectance [1].
     max_spectral_misfit: float = 0.02
     #: Maximum direct light, and maximum light of a neighbour, in such a shadow [1].

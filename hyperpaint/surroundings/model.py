@@ -71,7 +71,7 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
         (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 without a shadow",
     ),
     "lobe": (
-        (ALONG_TRACK, CROSS_TRACK), "uint8", "", "1 in a mirror image of the sun, 2 saturated in one",
+        (ALONG_TRACK, CROSS_TRACK), "uint8", "", "Mirror image of the sun: 1 perhaps, 2 saturated, 3 sure",
     ),
     "neighbour": (
         ("cell_along", "cell_cross", "rank"), "int32", "", "Coloured segments nearest to a cell; -1 for none",
@@ -121,8 +121,8 @@ class SceneModel:
     shade_distance : (along_track, cross_track), uint8
         Pixels to the next cast shadow, 0 in one; 255 far from any.
     lobe : (along_track, cross_track), uint8
-        1 in a mirror image of the sun, 2 in saturated pixels of one, else 0; 1 everywhere in models stored
-        without it.
+        Mirror images of the sun: 1 where only added light shows them, 2 in saturated pixels, 3 where pixels
+        are brighter than their body around, else 0; 1 everywhere in models stored without it.
     neighbour : (cell_along, cell_cross, rank)
         Coloured segments nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
     size, state, body : (segment_number,)

@@ -550,8 +550,9 @@ def least_amounts(spectra: Floats, parts: list[Floats]) -> tuple[Floats, Floats]
 # A glossy coat reflects the sun's light into a few degrees: on a body part, into a spot much brighter than
 # its surroundings. Flakes in a paint, and leaning body parts, are brighter over all of it, without a spot.
 
-#: Values of a lobe layer: pixels in a mirror image of the sun, and saturated pixels in one; 0 elsewhere.
-IN_LOBE, SATURATED_IN_LOBE = 1, 2
+#: Values of a lobe layer: pixels that may be in a mirror image of the sun, saturated pixels in one, and
+#: pixels that are brighter than their body around by the mirrored sun; 0 elsewhere.
+IN_LOBE, SATURATED_IN_LOBE, BRIGHT_IN_LOBE = 1, 2, 3
 
 #: Steps (line, column) to the ring of pixels three steps around a pixel.
 _RING = (
@@ -580,12 +581,14 @@ class Picture(NamedTuple):
 def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     r"""Return the pixels that lie in a mirror image of the sun (line, column).
 
-    0 outside, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a sharp or a wide core.
+    0 outside, `BRIGHT_IN_LOBE` around a sharp core, `IN_LOBE` around a wide one, or `SATURATED_IN_LOBE`.
 
     A sharp core is several times brighter than the ring of pixels three steps around it, the ring shows one
     surface in even light, and the excess of the core has the colour of direct light. Its lobe consists of the
     pixels around it that are 4 % brighter than a surface of second order, fitted to :math:`\ln \rho` of the
-    surroundings. This surface includes the broad lobe of flakes.
+    surroundings. This surface includes the broad lobe of flakes. A pixel brighter than all lit surfaces and
+    flakes is a core, too, whatever is around it; its lobe reaches on along a streak, and into segments that
+    show the same body under the mirrored sun.
 
     A wide core, of a worn coat, is as bright as a white surface in the sun over several pixels. It can be
     distinguished from flakes on coloured paint and on black paint.
@@ -602,10 +605,10 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     for spot, window in spots:
         if _half_width(spot) <= LOBES.max_spot_px:
             level[window][spot] = np.inf
-    lobe = np.zeros(level.shape, bool)
+    lobe, surely = np.zeros((2, *level.shape), bool)
     # Pixels much brighter than evenly bright surroundings (line, column).
     # First, in blocks of lines, pixels for which most of the ring is darker than the contrast demands.
-    is_sharp = np.zeros(level.shape, bool)
+    is_sharp, is_mirrored = np.zeros((2, *level.shape), bool)
     lines, columns = level.shape
     for start in range(0, lines, _LINES):
         block = level[start : start + _LINES]
@@ -618,6 +621,7 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
             top, left = _RADIUS + dy, _RADIUS + dx
             darker += padded[top : top + len(block), left : left + columns] < max_ring_level
         is_sharp[start : start + _LINES] = darker >= _MIN_DARKER
+        is_mirrored[start : start + _LINES] = (block > LOBES.min_mirrored) & np.isfinite(block)
         release(level)
     # then the exact conditions for these few pixels
     y, x = np.nonzero(is_sharp & on_coat)
@@ -636,6 +640,10 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
         _add_sharp(picture, level, core, window, lobe)
         release(picture.channels)
         release(level)
+    for core, window in _components(is_mirrored & on_coat):
+        _add_sharp(picture, level, core, window, surely, is_mirrored=True)
+        release(picture.channels)
+        release(level)
     # wide cores: the mirrored sun is as bright as a white surface (line, column)
     distinguishable = np.append(_distinguishable(picture), False)
     is_wide = np.zeros(level.shape, bool)
@@ -649,7 +657,8 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
         _add_wide(picture, level, core, window, lobe)
         release(picture.channels)
         release(level)
-    layer = np.where(lobe, np.uint8(IN_LOBE), np.uint8(0))
+    layer = np.where(surely, np.uint8(BRIGHT_IN_LOBE), lobe.view(np.uint8))
+    lobe |= surely
     for spot, window in spots:
         beside = ~spot & ~picture.saturated[window] & (picture.body(window) >= 0)
         rim = beside & (_distance(spot) < 1.5)
@@ -692,20 +701,32 @@ def _half_width(core: Bools) -> float:
 
 
 def _add_sharp(
-    picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
+    picture: Picture,
+    level: Floats,
+    core: Bools,
+    window: tuple[slice, slice],
+    lobe: Bools,
+    is_mirrored: bool = False,
 ) -> None:
-    # Set the pixels of `lobe` around a sharp core, if the core mirrors the sun
+    # Set the pixels of `lobe` around a sharp core, if the core mirrors the sun; ``is_mirrored`` where it is
+    # brighter than lit surfaces
     reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
-    if reach > LOBES.max_sharp_px:
+    is_wide = reach > LOBES.max_sharp_px
+    if is_wide and not is_mirrored:
         return
-    larger = padded(window, int(np.ceil(reach)) + LOBES.around_px)
+    reach = min(reach, LOBES.max_sharp_px)
+    larger = padded(window, LOBES.growths * int(np.ceil(reach)) + LOBES.around_px)
     brightness, body = level[larger], picture.body(larger)
     core = _in_larger_window(core, window, larger, brightness.shape)
     distance = _distance(core)
-    ring = (distance > 2.5) & (distance <= 4.5)
-    # body with most pixels of the ring, if it has enough of them
-    numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
-    if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
+    near, far = (reach, reach + LOBES.around_px) if is_mirrored else (2.5, 4.5)
+    ring = (distance > near) & (distance <= far)
+    # body with most pixels of the ring, if it has enough of them; beyond the brightness of lit surfaces, of
+    # those with a coat
+    coated = ~np.append(picture.ground, True)[body]
+    numbers, count = np.unique(body[ring & (coated if is_mirrored else body >= 0)], return_counts=True)
+    min_share = 0.0 if is_mirrored else LOBES.min_ring_share
+    if count.sum() < LOBES.min_ring_px or count.max() < min_share * count.sum():
         return
     surface_body = int(numbers[np.argmax(count)])
     if picture.ground[surface_body]:
@@ -719,20 +740,56 @@ def _add_sharp(
         )
         if not glint.std() < LOBES.max_colour * glint.mean():
             return
-    # pixels brighter than the broad lobe of the same body, connected to the peak
-    fit_radius = reach + LOBES.around_px
-    surface = (body == surface_body) & np.isfinite(brightness) & (distance > 1.5) & (distance <= fit_radius)
-    broad = _broad_lobe(brightness, surface, surface & (distance > max(2.0, 0.5 * reach)), fit_radius)
-    if broad is None:
-        lobe[larger] |= core
-        return
-    base, spread = broad
-    with np.errstate(invalid="ignore"):
-        min_excess = np.maximum(max(LOBES.min_share, LOBES.min_sd * spread) * base, LOBES.floor)
-        is_brighter = brightness - base > min_excess
-    halo = ((body == surface_body) | (distance <= 2.5)) & (distance <= reach) & is_brighter
-    pieces, _ = label(halo | core, np.ones((3, 3)))
-    lobe[larger] |= pieces == pieces[peak]
+    # pixels brighter than the broad lobe of the same body, connected to the peak; along a streak the lobe
+    # reaches on from pixels that no lean explains
+    lobe_here, fit_radius = core, reach + LOBES.around_px
+    on_body = (body == surface_body) & np.isfinite(brightness)
+    for _ in range(1 + is_mirrored * min(int(core.sum()) // LOBES.growth_px, LOBES.growths)):
+        distance = _distance(core)
+        surface = on_body & (distance > 1.5) & (distance <= fit_radius)
+        broad = _broad_lobe(brightness, surface, surface & (distance > max(2.0, 0.5 * reach)), fit_radius)
+        if broad is None:
+            break
+        base, spread = broad
+        with np.errstate(invalid="ignore"):
+            min_excess = np.maximum(max(LOBES.min_share, LOBES.min_sd * spread) * base, LOBES.floor)
+            is_brighter = brightness - base > min_excess
+        if is_mirrored and not is_wide:
+            is_brighter &= _stands_out(brightness, on_body, distance)
+        halo = (distance <= reach) & is_brighter
+        others = halo & (body != surface_body) & (distance > 2.5)
+        if is_mirrored:  # segments of the lobe itself are their own bodies
+            glint = _mirrored_sun(picture, others, larger, surface_body) * picture.light.direct.mean()
+            others &= glint <= min_excess
+        pieces, _ = label(halo & ~others | lobe_here, np.ones((3, 3)))
+        lobe_here = pieces == pieces[peak]
+        before, core = core, core | lobe_here & (brightness > LOBES.beyond_lean * base)
+        if (core == before).all():
+            break
+    lobe[larger] |= lobe_here
+
+
+def _stands_out(brightness: Floats, on_body: Bools, distance: Floats) -> Bools:
+    # Whether pixels are brighter than their body beside them (line, column), in any of four directions.
+    #
+    # Pixels nearer to the core do not count. Where only one side counts, the pixel must be brighter by twice
+    # as much: a body that leans to the sun is brighter on one side of the mirrored sun.
+    pad = LOBES.beside_px
+    rows, columns = brightness.shape
+    values = np.pad(np.where(on_body, brightness, -np.inf), pad, constant_values=-np.inf)
+    distances = np.pad(distance, pad)
+    stands_out = np.zeros(brightness.shape, bool)
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        sides = np.full((2, *brightness.shape), -np.inf)
+        for side, sign in zip(sides, (-1, 1), strict=True):
+            for step in range(sign, sign * (pad + 1), sign):
+                top, left = pad + step * dy, pad + step * dx
+                there = slice(top, top + rows), slice(left, left + columns)
+                np.maximum(side, np.where(distances[there] >= distance, values[there], -np.inf), out=side)
+        count = np.isfinite(sides).sum(axis=0)
+        share = np.where(count == 2, LOBES.min_share, 2.0 * LOBES.min_share)
+        stands_out |= (count > 0) & (brightness > (1.0 + share) * sides.max(axis=0))
+    return stands_out
 
 
 def _broad_lobe(
@@ -773,15 +830,21 @@ def _distinguishable(picture: Picture) -> Bools:
     return np.asarray((picture.coloured | black) & ~picture.ground)
 
 
-def _mirrored_sun(picture: Picture, mask: Bools, window: tuple[slice, slice]) -> Floats:
-    # Amount of mirrored sun in the pixels of a mask in a window, 0 elsewhere (line, column) [1]
+def _mirrored_sun(
+    picture: Picture, mask: Bools, window: tuple[slice, slice], surface: int | None = None
+) -> Floats:
+    # Amount of mirrored sun in the pixels of a mask in a window, 0 elsewhere (line, column) [1]; on a body
+    # ``surface``, 0 where its spectrum does not fit, or on the body of every pixel.
     glint = np.zeros(mask.shape)
     body: Ints = picture.body(window)[mask].astype(np.int64)
+    if surface is not None:
+        body[:] = surface
     spectra = picture.channels[window][mask].astype(np.float64)
-    amount, _, _ = unmix_spectra(
+    amount, misfit, _ = unmix_spectra(
         spectra, body, np.nan_to_num(picture.reference), picture.light, GLINT.tolerance, AS_GLINT
     )
-    glint[mask] = np.nan_to_num(amount[:, 2])
+    fits = (misfit < 1.0) | (surface is None)
+    glint[mask] = np.where(fits, np.nan_to_num(amount[:, 2]), 0.0)
     return glint
 
 

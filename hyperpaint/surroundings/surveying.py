@@ -48,11 +48,12 @@ from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from .corrections import LightSplit, shadow_side_of, split_of
-from .detection_rules import BODIES, DARK_COATS, FLAGS, GLINT, MIRROR, SHADOWS, SURVEY, VEGETATION
+from .detection_rules import BODIES, DARK_COATS, FLAGS, GLINT, LOBES, MIRROR, SHADOWS, SURVEY, VEGETATION
 from .model import CELL, LIT, SHADED, SceneModel, nearest_at
 from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
 from .segments import (
     AS_GLINT,
+    BRIGHT_IN_LOBE,
     SATURATED_IN_LOBE,
     Light,
     Matches,
@@ -292,8 +293,8 @@ def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Sc
         & (mixtures.direct < SHADOWS.max_turned_direct)
         & (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct)
         & (level < SHADOWS.max_lit_level)
-        & (mixtures.sky * level > DARK_COATS.max_mirrored)
         & (mixtures.sent < SHADOWS.max_sent * (1.0 - mixtures.sky))
+        & (mixtures.sky * level > DARK_COATS.max_mirrored)
         & (length >= SHADOWS.min_contact_sides)
         & (length > SHADOWS.sure_border * scene.border[mixtures.segment])
         & (away < -SHADOWS.sideways * length)
@@ -420,9 +421,9 @@ def _extend(
     max_misfit = np.where(bright, SHADOWS.max_dim_misfit, SHADOWS.max_dark_misfit)
     object_shadows = fits & ~on_ground & (mixtures.misfit < max_misfit)
     # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
-    markings = (
     enclosable = best & ~faces_sun & (mixtures.misfit < SHADOWS.max_dim_misfit)
     enclosable &= (mixtures.direct < SHADOWS.max_enclosed_direct) & (mixtures.sky > SHADOWS.min_enclosed_sky)
+    markings = (
         object_shadows
         & (mixtures.sky > SHADOWS.min_marking_sky)
         & (mixtures.direct < SHADOWS.max_marking_direct)
@@ -1224,7 +1225,8 @@ def flag(
     ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
     light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
     coat, with a core that stands out (`hyperpaint.surroundings.segments`), and in saturated pixels that a
-    lobe encloses.
+    lobe encloses. Around a core brighter than all lit surfaces, being 4 % brighter than the body around is
+    enough, up to this threshold.
 
     Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
     only, and where the body part shows its core; dark glass is taken for asphalt in shadow, so that glint and
@@ -1367,7 +1369,9 @@ def _flag_block(
     added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
     without_glint = np.maximum(channels.mean(axis=2) - added_glint, 0.0)
     in_glint = added_glint > np.maximum(limits["glint"] * without_glint, FLAGS.min_glint)
+    # beside a sharp core, brightness shows glint that has the colour of its body, or covers all of it
     lobe = model.lobe[lines]
+    in_glint |= (lobe == BRIGHT_IN_LOBE) & (limits["glint"] <= LOBES.min_share)
     bits[in_glint & (lobe > 0)] |= np.uint16(Quality.GLINT)
     # missing direct light is that of a cast shadow near one on the ground, and in shaded segments of objects;
     # surfaces that lean away from the sun lack direct light, too: on objects more of it must be missing

@@ -48,6 +48,18 @@ def test_the_spot_is_glint_and_the_flakes_around_it_are_not(paint: Any, flakes: 
     assert (found & ~true).sum() <= 0.1 * found.sum()
 
 
+@pytest.mark.parametrize(("across", "along"), [(0.8, 8.0), (4.0, 7.0)], ids=["a streak", "a wide lobe"])
+def test_a_streak_and_a_wide_lobe__are_glint_to_their_ends(across: float, along: float) -> None:
+    """Rationale: body parts that curve one way only stretch the mirrored sun; rough coats widen it."""
+    cube, _ = panel(SILVER, 0.0, 0.0)
+    y, x = np.mgrid[:80, :104]
+    far = ((y - SPOT[0]) / across) ** 2 + ((x - SPOT[1]) / along) ** 2
+    spot = 12.0 * np.exp(-far / 2.0)
+    found, true = flagged(cube + spot[..., None] * DIRECT), spot * DIRECT.mean() > 0.04 * SILVER.mean()
+    assert (found & true).sum() >= 0.6 * true.sum() > 50
+    assert (found & ~true).sum() <= 0.05 * found.sum()
+
+
 def test_flakes_and_red_spots_are_no_glint() -> None:
     cube, _ = panel(SILVER, 0.6, 0.0)
     assert not flagged(cube).any()
