@@ -1,16 +1,23 @@
 """The card of a paint: its place, what was left out of it, and the interval of its signature."""
 
+from functools import partial
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from support.agreeing_spectra import NM, agreeing, field, library, seen
+from support.laid_panels import Laid, flown_over
 from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import Quality
+from hyperpaint.pictures import plot
+from hyperpaint.pictures.figures import check_picture
+from hyperpaint.report.store_report import line_section
 
 pytest.importorskip("matplotlib")
 
@@ -86,4 +93,107 @@ def test_what_has_no_card_is_refused(measured: tuple[xr.Dataset, xr.Dataset]) ->
             "region-missing",
             lambda: card(line, library.drop_vars("region"), "red $roof"),
         ),
+    )
+
+
+# --- the picture of panels shows what they measured ---------------------------------------------------------
+
+
+mpl.use("Agg")
+
+
+def test_curves_are_the_factors(tmp_path: Path) -> None:
+    faulty, right = Laid((4, 16), level=0.85), Laid((20, 32))
+    line = flown_over(faulty, right, seed=31, lines=36, bands=20)
+    with pytest.warns(PaintWarning, match="measures"):
+        closure = hp.radiometry.panel_closure(line, [faulty.panel, right.panel]).compute()
+    figure = hp.pictures.panel_figure(closure, tmp_path / "panels.png")
+    assert (tmp_path / "panels.png").stat().st_size > 5000
+    (axes,) = figure.axes
+    for drawn, factor in zip(axes.lines[1:], closure.panel_factor.values, strict=True):
+        np.testing.assert_array_equal(drawn.get_ydata(), factor)
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts[0].endswith(": off level")
+    assert texts[1].endswith(": as expected")
+    expect_errors((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
+
+
+def test_a_report_has_a_part_for_panels() -> None:
+    line = flight(flat=True).line
+    scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
+    assert "Panels" in dict(line_section(scaled, lines=20))["panels"]()
+    assert "panels" not in dict(line_section(hp.reflectance(line), lines=20))
+
+
+# --- pictures of validations show what was compared ---------------------------------------------------------
+
+
+mpl.use("Agg")
+
+
+def test_curves_are_the_spectra() -> None:
+    nm = np.arange(500.0, 901.0)
+    found = hp.validate(
+        library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01)), field(0.97 * seen(nm, 3.0), nm=nm)
+    )
+    upper, lower = hp.pictures.validation_figure(found).axes
+    spectra = found.spectra[0]
+    used = spectra["used"].values
+    for line, name in zip(upper.lines, ("signature", "reference"), strict=True):
+        drawn = np.asarray(line.get_ydata())
+        np.testing.assert_array_equal(drawn[used], spectra[name].values[used])
+        assert np.isnan(drawn[~used]).all()
+    np.testing.assert_array_equal(
+        np.asarray(lower.lines[1].get_ydata())[used], spectra["difference"].values[used]
+    )
+    assert len(upper.collections) == 1  # the spread of the pixels
+    assert upper.get_title(loc="left") == "hood"
+    texts = " ".join(" ".join(text.get_text().split()) for text in lower.get_legend().get_texts())
+    rmse, limit = (float(found.statistics[name].sel(part="all").item()) for name in ("rmse", "rmse_limit"))
+    assert f"reference (ASD): RMSE {rmse:.4f} of {limit:.4f}" in texts
+    low, high = lower.get_ylim()
+    assert low == -high
+    assert high >= float(np.abs(spectra["difference"]).max())
+
+
+def test_instruments_are_drawn_over_one_another() -> None:
+    paints, asd = agreeing()
+    nm = np.arange(390.0, 1011.0, 1.5)
+    upper, lower = hp.pictures.validation_figure(
+        hp.validate(paints, [asd, field(1.01 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")])
+    ).axes
+    assert (len(upper.lines), len(lower.lines)) == (3, 1 + 2)
+    assert len({line.get_linestyle() for line in upper.lines}) == 3
+
+
+def test_the_worst_of_many_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert plot.MAX_PAIRS == 24
+    monkeypatch.setattr(plot, "MAX_PAIRS", 4)
+    count = 7
+    names = [f"paint {n}" for n in range(count)]
+    paints = library(np.outer(np.linspace(0.9, 1.0, count), seen(NM, 6.0)), names)
+    references = library(np.outer(np.ones(count), seen(NM, 6.0)), names)
+    figure = hp.pictures.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
+    titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
+    assert titles == [*(f"FAIL  {name}" for name in names[:3]), names[3]]  # 5 % of the level pass
+    assert f"the 4 worst of {count} shown" in figure.get_suptitle()
+    assert (tmp_path / "many.png").stat().st_size > 10_000
+
+
+def test_any_name_is_drawn(tmp_path: Path) -> None:
+    paints = library(seen(NM, 6.0), (("$\\frac{_\x1b" + "x" * 90),))
+    hp.pictures.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
+
+
+def test_sizes_and_places_are_refused_before_any_work(tmp_path: Path) -> None:
+    draw = partial(hp.pictures.validation_figure, hp.validate(*agreeing()))
+    check_picture(tmp_path / "a.PNG")
+    expect_errors(
+        *(
+            (SchemaError, "value-out-of-range", partial(draw, **{name: wrong}))
+            for name, wrong in (("columns", 0), ("limit", 0.0), ("limit", float("nan")))
+        ),
+        (SchemaError, "suffix-unknown", lambda: check_picture(tmp_path / "a.nope")),
+        (SchemaError, "suffix-unknown", lambda: check_picture(tmp_path / "a")),
+        (SchemaError, "folder-missing", lambda: check_picture(tmp_path / "none/a.png")),
     )
