@@ -819,39 +819,40 @@ def open_with_settings(
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined_lines = dict(_joined_lines(collect, lines, irradiance))
-    groups |= {f"/flightlines/{name}": joined.line for name, joined in joined_lines.items()}
+    groups |= {f"/flightlines/{name}": line for name, (line, _) in joined_lines.items()}
     groups |= {
         name: shared
         for name, shared in {"/irradiance": irradiance, "/calibration": calibration}.items()
         if isinstance(shared, xr.Dataset)
     }
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
-    members = {f"flightlines/{name}": joined.members for name, joined in joined_lines.items()}
+    members = {f"flightlines/{name}": cubes for name, (_, cubes) in joined_lines.items()}
     return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)
 
 
 def _joined_lines(
     collect: Collect, lines: Mapping[str, xr.Dataset], irradiance: Any
-) -> Iterator[tuple[str, JoinedLine]]:
-    # Yield the lines with their names; cubes of one table become one line where the recording continues
+) -> Iterator[tuple[str, tuple[xr.Dataset, tuple[str, ...]]]]:
+    # Yield lines with their names and the ids of their cubes; cubes of one table are one line where the
+    # recording continues
     record = irradiance if isinstance(irradiance, xr.Dataset) else None
     # cubes of a table, and its id, by the first cube
     flights = {cubes[0]: (cubes, line_id) for cubes, line_id in collect.flights if cubes}
     later_cubes = {name for cubes, _ in flights.values() for name in cubes[1:]}
     for name, line in lines.items():
         if name not in flights and name not in later_cubes:
-            yield name, JoinedLine(line, (name,))
+            yield name, (line, (name,))
         if name in flights:
             cubes, line_id = flights[name]
             joined_lines = list(join_lines({cube: lines[cube] for cube in cubes}, record))
-            for joined in joined_lines:
+            for joined, members, interruption in joined_lines:
                 warn_if(
-                    joined.interruption,
-                    f"{joined.members[0]} is a separate flight line: {joined.interruption}",
+                    interruption,
+                    f"{members[0]} is a separate flight line: {interruption}",
                     "recording-interrupted",
                 )
-                joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
-                yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
+                joined_name = line_id if line_id and len(joined_lines) == 1 else members[0]
+                yield joined_name, (joined.assign_attrs(name=joined_name), members)
 
 
 def _levelled(
@@ -904,17 +905,11 @@ def _opened_references(
 MAX_STEP_PERIODS = 2.5
 
 
-@dataclass(frozen=True)
-class JoinedLine:
-    # A line of one or more cubes.
-
-    line: xr.Dataset
-    members: tuple[str, ...]  #: Ids of its cubes; the first is the name of the line.
-    interruption: str = ""  #: Reason why it does not continue the previous line.
-
-
-def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
-    # Yield the lines that cubes of one flight form, in their order.
+def join_lines(
+    lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None
+) -> Iterator[tuple[xr.Dataset, tuple[str, ...], str]]:
+    # Yield the lines that cubes of one flight form, in their order, with the ids of their cubes and the
+    # reason why they do not continue the previous line.
     # ``lines``: line of each cube by its id, in the order of recording; ``irradiance``: the complete record,
     # which is cut to every line, or None.
     groups: list[list[str]] = []
@@ -927,7 +922,7 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
             groups.append([name])
             reasons.append(reason)
     for members, reason in zip(groups, reasons, strict=True):
-        yield JoinedLine(_concatenated([lines[name] for name in members], irradiance), tuple(members), reason)
+        yield _concatenated([lines[name] for name in members], irradiance), tuple(members), reason
 
 
 def _interruption(lines: Mapping[str, xr.Dataset], previous_name: str, name: str) -> str:

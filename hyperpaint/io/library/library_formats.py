@@ -815,25 +815,19 @@ _MAX_TEXT_CHARS = 4000
 _MAX_NAMES = 5
 
 
-class Term(NamedTuple):
-    # A declaration that every library makes, for all its paints or for each.
-    name: str
-    words: tuple[str, ...]  #: allowed words; () for any text
-    meaning: str
-
-
-#: Declarations of every library; a word may be ``unknown``.
-TERMS = (
-    Term(
+#: Declarations of every library, for all its paints or for each: name, allowed words (any text where there
+#: are none), and meaning. A word may be ``unknown``.
+TERMS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    (
         "quantity",
         ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
         "A reflectance factor, or the reflectance of a sphere with or without the mirror image",
     ),
-    Term("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
-    Term("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
-    Term("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
-    Term("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
-    Term("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
+    ("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
+    ("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
+    ("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
+    ("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
+    ("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
 )
 
 #: Reflectance beyond which units are doubtful: noise of a black panel, glint beside a panel.
@@ -952,11 +946,11 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     >>> declared.attrs["licence"], declared.attrs["measurement_geometry"]
     ('CC0-1.0', 'unknown')
     """
-    terms = {term.name: term for term in TERMS}
+    terms = {name: allowed for name, allowed, _ in TERMS}
     for name, word in words.items():
         one_of(name, (*terms, "title"), "term")
-        if name in terms and terms[name].words:
-            one_of(word, terms[name].words, name)
+        if terms.get(name):
+            one_of(word, terms[name], name)
     library = with_new_names(library)
     declared = library_terms(library)
     attrs = {name: UNKNOWN for name in terms if declared[name] is None}
@@ -968,10 +962,10 @@ def library_terms(library: xr.Dataset) -> dict[str, Any]:
     # Return the declaration of each term: a list with a word for every paint, a word for all, or None.
     attrs = {**library.attrs, **library[CENTRE].attrs}
     return {
-        term.name: list(map(str, library[term.name].values.tolist()))
-        if term.name in library.variables and library[term.name].dims == (SIGNATURE,)
-        else attrs.get(term.name)
-        for term in TERMS
+        name: list(map(str, library[name].values.tolist()))
+        if name in library.variables and library[name].dims == (SIGNATURE,)
+        else attrs.get(name)
+        for name, *_ in TERMS
     }
 
 
@@ -1125,14 +1119,12 @@ def _declarations(library: xr.Dataset) -> Iterator[_Row]:
     )
     yield not is_text(title), "title", f"title is {title!r:.40}", "a text"
     declared = library_terms(library)
-    for term in TERMS:
-        words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
-        invalid = {
-            str(word) for word in words if not is_text(word) or (term.words and word not in term.words)
-        }
-        found = "not declared" if declared[term.name] is None else _listed(sorted(invalid))
-        expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
-        yield bool(invalid), term.name, found, expected
+    for name, allowed, _ in TERMS:
+        words = declared[name] if isinstance(declared[name], list) else [declared[name]]
+        invalid = {str(word) for word in words if not is_text(word) or (allowed and word not in allowed)}
+        found = "not declared" if declared[name] is None else _listed(sorted(invalid))
+        expected = f"one of {', '.join(allowed)}" if allowed else f"a text, or {UNKNOWN!r}"
+        yield bool(invalid), name, found, expected
     # specular component that contradicts a quantity
     contradictions = {
         BODY: INCLUDED,

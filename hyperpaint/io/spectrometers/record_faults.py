@@ -4,7 +4,6 @@ The spectra of a record judge one another: no model of the sky, no place and no 
 """
 
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -91,12 +90,6 @@ _MAX_LEVEL_SCANS = 256
 _MAX_FLAT_CHANNELS = 100
 
 
-class JudgedRecord(NamedTuple):
-    # A record without the values that are not daylight.
-    values: Floats  #: (scan, channel), NaN where left out
-    faults: tuple[Problem, ...]  #: by kind; empty for a right record
-
-
 def clipped_top(values: Floats) -> Bools:
     # Return the channels (scan, channel) of a flat top: many equal the maximum of their scan.
     clipped = np.zeros(values.shape, bool)
@@ -116,8 +109,9 @@ def clipped_top(values: Floats) -> Bools:
 
 def judge_record(
     wavelength: Floats, times: Array, values: Array, clipped: Bools | None = None
-) -> JudgedRecord:
-    # Return the values of an irradiance record that can be daylight, and its faults.
+) -> tuple[Floats, tuple[Problem, ...]]:
+    # Return the values of an irradiance record that can be daylight (scan, channel), NaN where left out, and
+    # its faults by kind.
     #
     # ``wavelength`` (channel,) [nm]; ``times`` (scan,), which increase; ``values`` (scan, channel)
     # [W m-2 nm-1], NaN where undefined; ``clipped`` (scan, channel): channels whose raw counts were clipped.
@@ -230,7 +224,7 @@ def judge_record(
                     code="irradiance-step",
                 )
             )
-    return JudgedRecord(values, tuple(faults))
+    return values, tuple(faults)
 
 
 def _median(values: Floats, axis: int) -> Floats:

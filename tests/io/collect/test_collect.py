@@ -504,12 +504,12 @@ def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None
         times = lines[name]["time"].values.copy()
         times[lost] = np.datetime64("NaT", "ns")
         lines[name] = lines[name].assign_coords(time=lines[name]["time"].copy(data=times))
-    (flown,) = join_lines(lines, None)
-    assert flown.members == ("raw_0", "raw_20", "raw_40")
-    assert int(np.isnat(flown.line["time"].values).sum()) == 7
+    ((flown, cubes, _),) = join_lines(lines, None)
+    assert cubes == ("raw_0", "raw_20", "raw_40")
+    assert int(np.isnat(flown["time"].values).sum()) == 7
     # a pause is one all the same
     lines["raw_20"] = lines["raw_20"].assign_coords(time=lines["raw_20"]["time"] + np.timedelta64(1, "s"))
-    assert next(len(each.members) for each in join_lines(lines, None)) == 1
+    assert next(len(cubes) for _, cubes, _ in join_lines(lines, None)) == 1
 
 
 DAY = 'id = "day"\n'
@@ -575,5 +575,5 @@ def test_a_frame_lost_between_two_cubes_is_a_blank_line_as_within_one(
     tree = hp.open_collect(with_lines(path, *(f'cube = "flight/raw_{n}.hdr"' for n in (0, 21, 40))))
     own = {name: child.to_dataset() for name, child in tree["flightlines"].children.items()}
     own = {name: each.assign_coords(frame=each.frame - each.frame[0]) for name, each in own.items()}
-    (joined,) = join_lines(own, None)
-    expect_equal((joined.line.attrs["dropped_frames"], 1), (np.isnat(joined.line["time"].values), ~there))
+    ((joined, *_),) = join_lines(own, None)
+    expect_equal((joined.attrs["dropped_frames"], 1), (np.isnat(joined["time"].values), ~there))
