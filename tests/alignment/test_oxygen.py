@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 from support.strategies import START, labelled
 
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.simulation import simulate_line
 
 GRID = np.arange(690.0, 840.0, 0.001)
 RHO = 0.4
@@ -140,3 +144,17 @@ def test_to_nominal_brings_smiling_columns_together(irradiance: np.ndarray) -> N
     line, _ = grey_line(irradiance, "gaussian", np.array([0.0, 0.3, -0.4]))
     made = reflectance(line).paint.to_nominal()["reflectance"].values[0, 3:-3]
     np.testing.assert_allclose(made, RHO, rtol=0.003)
+
+
+# --- what wrong wavelengths and widths leave of the oxygen A band -------------------------------------------
+
+
+def test_oxygen_residual_has_a_sign() -> None:
+    line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
+    assert abs(hp.alignment.oxygen_residual(line)).max() < 2e-3
+    longer = hp.alignment.oxygen_residual(line.assign_coords(wavelength=line.wavelength + 0.2))
+    wider = hp.alignment.oxygen_residual(line.assign_coords(fwhm=line.fwhm + 0.2))
+    assert ((longer < -0.008).all(), (wider > 0.003).all(), longer.attrs["units"]) == (True, True, "1")
+    expect_refusals(
+        (SchemaError, "bands-too-few", lambda: hp.alignment.oxygen_residual(line.isel(band=slice(0, 20))))
+    )

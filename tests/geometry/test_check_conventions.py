@@ -7,13 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_errors
-from support.wobbly_flights import Flight
+from support.refusals import expect_errors, expect_refusals
+from support.wobbly_flights import START, Flight
 from support.wrong_declarations import DECLARED, Made, cases, flown, right
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.navigation_checking import ConventionCheck, check_conventions, row_motion
+from hyperpaint.base.errors import SchemaError, TimeError
+from hyperpaint.geometry.navigation_checking import (
+    ClockOffset,
+    ConventionCheck,
+    check_conventions,
+    estimate_clock_offset,
+    navigation_findings,
+    row_motion,
+)
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collects import check_collect
 
@@ -131,4 +138,137 @@ def test_shifts_of_rows_are_measured_to_a_tenth_of_a_pixel() -> None:
     away = np.nanmedian(seen.shift, axis=1) - shifts
     np.testing.assert_array_less(
         [np.sqrt(np.mean(away**2)), np.abs(away).max(), 0.95], [0.06, 0.2, np.isfinite(seen.shift).mean()]
+    )
+
+
+# --- clocks that are known to be apart; and cases in which nobody can tell ----------------------------------
+
+
+pytest.importorskip("pyproj")
+
+
+def by_attitude(flight: Flight, **changes: object) -> ClockOffset:
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    told = {"convention": DECLARED, "camera": camera, "ground": flight.ground, "max_offset_s": 0.6}
+    told |= {"navigation": flight.navigation(), **changes}
+    return estimate_clock_offset(flight.line(), **told)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("seed", "offset"), [(1, 0.137), (3, -0.402)])
+def test_attitude_against_the_picture(seed: int, offset: float) -> None:
+    found = by_attitude(Flight(seed=seed, wobble="rough", lines=1200, clock_offset=offset))
+    assert found.method == "attitude"
+    assert abs(found.offset_s - offset) < 4 * found.uncertainty_s
+    assert found.uncertainty_s < 0.005
+    assert found.curve.offset[int(found.curve.argmin("offset"))] == pytest.approx(offset, abs=0.02)
+    assert "explains" in found.table()
+
+
+def test_a_steady_platform_and_an_offset_beyond_the_search_are_refused() -> None:
+    steady = Flight(seed=4, wobble="none", lines=400, attitude_noise=0.0)
+    late = Flight(seed=1, wobble="rough", lines=800, clock_offset=0.45)
+    expect_refusals(
+        (TimeError, "motion-too-small", lambda: by_attitude(steady)),
+        (TimeError, "motion-mismatch", lambda: by_attitude(late, max_offset_s=0.2)),
+    )
+
+
+def test_a_record_of_another_day_is_refused() -> None:
+    flight = Flight(seed=1, lines=100)
+    nav = flight.navigation()
+    nav = nav.assign_coords(navigation_time=nav.navigation_time + np.timedelta64(1, "D"))
+    expect_refusals((TimeError, "pose-missing", lambda: by_attitude(flight, navigation=nav)))
+
+
+# --- irradiance --------------------------------------------------------------------------------------------
+
+PERIOD = 0.05
+
+
+def light(t: np.ndarray, depth: float, seed: int) -> np.ndarray:
+    # Return the level of the light: clouds with edges of some seconds
+    edges = np.random.default_rng([seed, 1]).uniform(0, 120, 6)
+    steps = sum((-1) ** k / (1 + np.exp(-(t - e) / 1.5)) for k, e in enumerate(np.sort(edges)))
+    return np.asarray(1.0 - depth * steps)
+
+
+def lit(offset: float, depth: float, seed: int) -> tuple[xr.Dataset, xr.Dataset]:
+    # Return a line of 120 s, and a record every 2 s whose stamps are ``offset`` early
+    rng = np.random.default_rng([seed, 2])
+    t = PERIOD * np.arange(2400)
+    ground = np.ones((t.size, 96))
+    for _ in range(150):  # things on the ground, some over half of the swath
+        a, b = rng.integers(0, t.size), rng.integers(0, 96)
+        ground[a : a + rng.integers(20, 300), b : b + rng.integers(5, 50)] *= rng.uniform(0.4, 2.0)
+    ground *= 1 + 0.03 * rng.standard_normal(ground.shape)
+    counts = 800 * ground * light(t, depth, seed)[:, None]
+    line = xr.Dataset(
+        {"counts": (("along_track", "band", "cross_track"), counts[:, None].astype(np.uint16))},
+        coords={"time": ("along_track", START + np.round(t * 1e9).astype("timedelta64[ns]"))},
+    )
+    s = np.arange(-20.0, 140.0, 2.0)
+    level = light(s, depth, seed) * (1 + 1e-3 * rng.standard_normal(s.size))
+    record = xr.Dataset(
+        {"irradiance": (("irradiance_time", "irradiance_wavelength"), level[:, None] * np.ones(3))},
+        coords={
+            "irradiance_time": START + np.round((s - offset) * 1e9).astype("timedelta64[ns]"),
+            "irradiance_wavelength": ("irradiance_wavelength", [500.0, 600.0, 700.0], {"units": "nm"}),
+        },
+    )
+    record.irradiance.attrs["units"] = "W m-2 nm-1"
+    return line, record
+
+
+@pytest.mark.parametrize(("seed", "offset"), [(0, 1.3), (1, -4.2), (2, 0.0)])
+def test_clouds_in_the_record_and_in_the_picture(seed: int, offset: float) -> None:
+    line, record = lit(offset, 0.5, seed)
+    found = estimate_clock_offset(line, irradiance=record, max_offset_s=8.0)
+    assert found.method == "irradiance"
+    assert abs(found.offset_s - offset) < 4 * found.uncertainty_s
+    assert found.uncertainty_s < 1.0
+
+
+@pytest.mark.parametrize(("offset", "names"), [(1.6, ["raw_0"]), (0.85, [])])
+def test_an_offset_of_the_irradiance_record_is_a_finding(offset: float, names: list[str]) -> None:
+    line, record = lit(offset, 0.5, 1)
+    found = navigation_findings(
+        {"short": line.isel(along_track=slice(0, 50)), "raw_0": xr.merge([line, record])}
+    )
+    assert [name for name, _ in found] == names
+    for _, finding in found:
+        assert (finding.field, finding.verdict) == ("irradiance clock", "wrong")
+        assert float(finding.likely.removesuffix(" s")) == pytest.approx(offset, abs=0.5)
+
+
+@pytest.mark.parametrize("moved", [np.timedelta64(-41 * 365, "D"), np.timedelta64("NaT")])
+def test_a_line_without_a_time_near_the_record_gives_no_finding(moved: np.timedelta64) -> None:
+    line, record = lit(1.6, 0.5, 1)
+    line = line.assign_coords(time=line.time + moved)
+    expect_refusals((TimeError, "record-elsewhere", lambda: estimate_clock_offset(line, irradiance=record)))
+    assert navigation_findings({"raw_0": xr.merge([line, record])}) == []
+
+
+def test_flat_light_and_clouds_elsewhere_are_refused() -> None:
+    line, flat = lit(0.0, 0.0, 0)
+    _, other = lit(0.0, 0.5, 3)
+    expect_refusals(
+        (TimeError, "light-constant", lambda: estimate_clock_offset(line, irradiance=flat)),
+        (
+            TimeError,
+            "light-mismatch",
+            lambda: estimate_clock_offset(line, irradiance=other, max_offset_s=8.0),
+        ),
+    )
+
+
+def test_one_record_is_asked_for() -> None:
+    line, record = lit(0.0, 0.5, 0)
+    expect_refusals(
+        (SchemaError, "option-conflict", lambda: estimate_clock_offset(line)),
+        (
+            SchemaError,
+            "value-out-of-range",
+            "max_offset_s",
+            lambda: estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0),
+        ),
     )
