@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
@@ -111,6 +112,8 @@ def test_every_pixel_loses_the_sky_of_its_direction(no_compute: Any) -> None:
     }
     located = line.drop_vars(["look_angle", "roll", "pitch", "heading"]).assign(planes)
     chunked = located.assign(reflectance=located.reflectance.chunk(along_track=4, cross_track=5))
+    # stores divide coordinates otherwise than cubes
+    chunked = chunked.assign_coords(frame=("along_track", da.arange(6, chunks=3)))
     with no_compute():
         lazy = hp.surroundings.remove_mirrored_sky(chunked, diffuse="model")
     again = hp.surroundings.remove_mirrored_sky(located, diffuse="model")

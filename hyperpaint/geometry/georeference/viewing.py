@@ -131,7 +131,7 @@ def pixel_view(line: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray] | None:
     #
     # See `mean_view`; lazy where ``reflectance`` of the line is lazy, None where they are unknown. Dims of
     # ``line`` are named by role. Attitudes are read: they are small.
-    viewing, chunks = Viewing(line), line["reflectance"].chunksizes
+    viewing, chunks = Viewing(line), line["reflectance"].variable.chunksizes
 
     def aligned(array: xr.DataArray) -> xr.DataArray:
         array = array.reset_coords(drop=True)
