@@ -249,10 +249,8 @@ class GapRules:
     max_dip: float = 0.65
     #: Irradiance relative to free sun, below which a cloud begins [1].
     min_of_free: float = 0.95
-    #: Time of free sun required before and after a line [s]: a cloud's edge at 8 m/s moves 32 m, farther than
-    #: a receiver stands from the cars.
-    around_s: float = 4.0
-    unseen_s: float = 10.0  #: The same where no shadow beside a car shows the sun [s].
+    #: Time of free sun required before and after a line [s]: a cloud's edge at 8 m/s moves 80 m.
+    around_s: float = 10.0
     #: Maximum diffuse fraction in a shadow beside the car relative to the record [1]: 0.6 to 1 of the sky
     #: lights a shadow; under a cloud the ratio is 2 to 3.
     max_over_record: float = 1.5
@@ -391,7 +389,7 @@ class Picture:
     #: Height of the surface in every pixel (line, column) [m], and the distance between pixels [m].
     heights: tuple[Array, float] | None = None
     #: Free sun between clouds, see `sunny_lines`; None where clouds were not broken.
-    sun: tuple[Floats, float] | None = None
+    sun: tuple[Bools, float] | None = None
 
     @cached_property
     def sky(self) -> tuple[Array, Floats]:
@@ -594,14 +592,13 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
 
 def sunny_lines(
     line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float | None
-) -> tuple[Floats, float] | None:
-    # Return for how long lines have free sun before and after, by the irradiance record, and the diffuse
-    # fraction of their infrared.
+) -> tuple[Bools, float] | None:
+    # Return the lines with free sun by the irradiance record, and the diffuse fraction of their infrared.
     #
-    # (line,) [s], 0 without free sun, and [1], NaN where no line had any; None where clouds were not broken.
+    # (line,) and [1], NaN where no line had free sun; None where clouds were not broken.
     if "broken" not in str(model.attrs.get("sky_states", "")).split():
         return None
-    no_sun = np.zeros(line.sizes[ALONG_TRACK]), np.nan
+    no_sun = np.zeros(line.sizes[ALONG_TRACK], bool), np.nan
     if zenith is None or not {"irradiance", "time", IRRADIANCE_TIME} <= set(line.variables):
         return no_sun
     nm = line["wavelength"].values.astype(np.float64)
@@ -619,6 +616,7 @@ def sunny_lines(
     free = np.asarray(infrared_fraction < clear + GAPS.max_above_clear)
     if not free.any():
         return no_sun
+    # free sun in all samples of the record from `around_s` before a line to `around_s` after it
     time, stamps = (
         line[name].values.astype("datetime64[ns]").astype(np.int64) for name in ("time", IRRADIANCE_TIME)
     )
@@ -628,8 +626,8 @@ def sunny_lines(
     # time to the nearest dimmed sample or end of the record
     bounds = np.concatenate([[stamps[0]], dimmed, [stamps[-1]]])
     later = np.clip(np.searchsorted(bounds, time), 1, bounds.size - 1)
-    seconds = np.where(free, np.minimum(bounds[later] - time, time - bounds[later - 1]) / 1e9, 0.0)
-    return np.maximum(seconds, 0.0), float(infrared_fraction[free].mean())
+    free = free & (np.minimum(bounds[later] - time, time - bounds[later - 1]) > GAPS.around_s * 1e9)
+    return (free, float(infrared_fraction[free].mean())) if free.any() else no_sun
 
 
 def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
@@ -640,8 +638,7 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
         return ""
     model, (sunny, sunny_fraction) = picture.model, picture.sun
     advice = "take a line flown between clouds, or draw the region and check its level by hand"
-    seconds = sunny[window[0]].min()
-    if seconds <= GAPS.around_s:
+    if not sunny[window[0]].all():
         return (
             "clouds were broken, and no irradiance record shows free sun from "
             f"{GAPS.around_s:g} s before this car was recorded to {GAPS.around_s:g} s after; {advice}"
@@ -659,8 +656,6 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
     ground = int(np.bincount(body[inside]).argmax()) if inside.any() else -1
     dark, lit = brightness[inside & (body == ground)], brightness[~shaded & (body == ground)]
     if min(dark.size, lit.size) < GAPS.min_px:
-        if seconds > GAPS.unseen_s:
-            return ""
         return f"clouds were broken, and no shadow beside this car shows that the sun was free here; {advice}"
     fraction = float(np.median(dark) / np.median(lit))
     return (
@@ -2123,8 +2118,8 @@ def propose_regions(
       mirrored sky, which signatures state themselves.
       Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
       that shows cars, lean and level place are also estimated from them.
-    * Under broken clouds a car is judged only where the record had free sun for 4 s before and after, and a
-      shadow beside the car shows free sun, too; without a shadow, as under a high sun, for 10 s.
+    * Under broken clouds a car is judged only where the record had free sun for 10 s before and after, and a
+      shadow beside the car shows free sun, too.
     * ``finish`` is "metallic" where its light changes with lean more than for any solid paint, or where the
       change is grey on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees from the
       zenith and almost nothing changes, or where coloured paint changes as a solid paint does, under a sun up
