@@ -48,6 +48,7 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
     as_progress,
+    documented,
     flag_names,
     is_number,
     schema,
@@ -2070,6 +2071,7 @@ class Proposals(Regions):
 
 
 @takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
+@documented()
 def propose_regions(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
