@@ -61,7 +61,7 @@ def test_the_interval_holds_the_uncertainty_of_the_level(measured: tuple[xr.Data
     stated = library.assign(
         reflectance_u_random=(("signature", "band"), np.full(shape, 0.003, np.float32), {"units": "1"}),
         reflectance_u_systematic=(("signature", "band"), np.full(shape, 0.004, np.float32), {"units": "1"}),
-        level_uncertainty=("signature", np.float32([0.1])),
+        level_uncertainty=("signature", np.float32([0.1]), {"units": "1"}),
     )
     axes = hp.pictures.paint_card(line, stated, "red $roof", width=5.0).axes[-1]
     below, above, centre = (curve.get_ydata() for curve in axes.lines[:3])
