@@ -114,7 +114,11 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
     if "good" in library.variables:
         spectra = np.where(library["good"].values.astype(bool), spectra, np.nan)
     angle, names = variables["aspecular_angle"].values, library[SIGNATURE].values
-    level = np.nanmean(spectra, axis=1)
+    # a signature without values takes no part in decisions
+    values = np.isfinite(spectra)
+    level = np.where(values, spectra, 0.0).sum(axis=1) / np.where(
+        values.any(axis=1), values.sum(axis=1), np.nan
+    )
     u = _column(library, "level_uncertainty", UNSTATED_U)
     difference_u = u.copy()
     for number, text in enumerate(
@@ -134,10 +138,13 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
     change, change_u = np.full((2, len(names)), np.nan)
     for number in np.unique(car):
         (views,) = np.nonzero(car == number)
-        stray[views] = _is_stray(spectra[views])
-        kept = views[~stray[views]]
-        if np.ptp(angle[kept]) >= MIN_RANGE_DEG:
-            slope, slope_u = _slope(angle[kept], np.log(np.maximum(level[kept], 1e-6)), difference_u[kept])
+        measured = views[np.isfinite(level[views])]
+        stray[measured] = _is_stray(spectra[measured])
+        kept = measured[~stray[measured]] if measured.size else views
+        placed = kept[np.isfinite(angle[kept] + level[kept])]
+        if placed.size and np.ptp(angle[placed]) >= MIN_RANGE_DEG:
+            logs = np.log(np.maximum(level[placed], 1e-6))
+            slope, slope_u = _slope(angle[placed], logs, difference_u[placed])
             change[views], change_u[views] = slope, slope_u
             if slope + 2.0 * slope_u < -FLAKE_CHANGE:
                 finish[views] = "metallic"
@@ -145,7 +152,7 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
                 finish[views] = "solid"
         has_flakes = finish[kept[0]] in ("metallic", "pearl")
         order = u[kept] if has_flakes else level[kept] * (1.0 + 2.0 * u[kept])
-        chosen = kept[np.argmin(order)]
+        chosen = kept[np.argmin(np.nan_to_num(order, nan=np.inf))]
         best[chosen], name[views] = True, names[chosen]
     counts = np.unique(car, return_inverse=True, return_counts=True)
     columns = {

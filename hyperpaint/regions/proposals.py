@@ -189,9 +189,8 @@ class RoofRules:
 class JudgingRules:
     # Verdicts: uncertainty of the level, darker windows, flakes, and the score.
     coverage: float = 1.96  #: Standard uncertainties in half of a 95 % interval [1].
-    lobe_part: float = (
-        0.75  #: Part of the limit of the level's interval that holds near the lobe of flakes [1].
-    )
+    #: Part of the limit of the level's interval that holds near the lobe of flakes [1].
+    lobe_part: float = 0.75
     #: Reflectance below which the limit of the level's interval stays the same in reflectance [1].
     dark: float = 0.03
     least_sd: float = 0.008  #: Relative uncertainty of a level roof: noise, dust, light of neighbours [1].

@@ -92,6 +92,19 @@ def test_best_view__has_least_mirrored_light() -> None:
     assert joined.isel(signature=joined.is_best).sizes["signature"] == 1
 
 
+def test_missing_values__decide_nothing() -> None:
+    """Expected: a view without values or without an angle is joined, and the others decide as without it."""
+    views = views_of([20.0, 35.0, 50.0, 50.0, np.nan], [0.3] * 5)
+    views["reflectance"][2] = np.nan
+    joined = join_views(views)
+    assert joined.views.values.tolist() == [5] * 5
+    assert set(joined.finish.values) == {"solid"}
+    assert joined.is_best.sum() == 1
+    assert not joined.is_best[2]
+    assert join_views(views.isel(signature=[2])).is_best.all()
+    assert join_views(views.isel(signature=[])).sizes["signature"] == 0
+
+
 def test_wrong_distance__is_refused() -> None:
     with pytest.raises(SchemaError) as caught:
         join_views(views_of([20.0], [0.3]), distance=0.0)
