@@ -13,7 +13,7 @@ HERE = Path(__file__).resolve().parent
 
 @pytest.mark.slow
 def test_kernels_run_without_compilation() -> None:
-    subjects = ("radiometry", "uncertainty", "smoothing", "resampling", "rays")
+    subjects = ("radiometry", "uncertainty", "gathering", "line_fits", "rays")
     names = [HERE / f"test_kernels_{subject}.py" for subject in subjects]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
     found = subprocess.run(
