@@ -6,7 +6,7 @@ and for flight lines that have a record only.
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,8 +141,7 @@ def diffuse_from_record(
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     SchemaError.raise_if(
         not windows_in(channels).centre.size,
-        "irradiance has no channel in the compared intervals, "
-        f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
+        f"irradiance has no channel in the compared intervals, {WINDOWS_NM[0]:g} to {WINDOWS_NM[-1]:g} nm",
         code="irradiance-coverage",
     )
     wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
@@ -333,89 +332,62 @@ def _at_lines(
 #: Kinds of sky that are drawn: no cloud, thin cloud before the sun, broken cloud, overcast.
 KINDS = ("air", "thin", "broken", "overcast")
 
+#: Centres of the compared intervals [nm]: between the bands of oxygen and water.
+WINDOWS_NM = (
+    415.0, 445.0, 475.0, 500.0, 525.0, 550.0, 575.0, 615.0, 640.0, 670.0, 708.0, 748.0, 778.0, 865.0,
+    882.0, 1005.0,
+)  # fmt: skip
+#: Prior of skies and receivers, before a spectrum is compared.
+RULES = SimpleNamespace(
+    # Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
+    half_width_nm=8.0,
+    # Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
+    shape_u=0.015,
+    # Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
+    # receiver, and the residual of the model against others (tests: 2 to 3 %).
+    colour_u=0.03,
+    colour_nm=200.0,
+    # Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
+    # one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
+    wide_u=0.2,
+    wide_prior=0.08,
+    # Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
+    aerosol=0.12,
+    aerosol_spread=0.9,
+    # Optical depth from which clear air is called hazy [1].
+    hazy_aerosol=0.25,
+    # Probabilities of `KINDS`.
+    priors=(0.43, 0.12, 0.20, 0.25),
+    # Relative standard deviation of the level over `window_s` below which, and above which, each of `KINDS`
+    # is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the sun.
+    calm=(0.0, 0.004, 0.06, 0.0),
+    restless=(0.01, 0.03, np.inf, 0.05),
+    # Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
+    calm_spread=(1.0, 0.8, 0.5, 1.0),
+    restless_spread=0.5,
+    # Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
+    window_s=90.0,
+    # Half width of the interval within which the light of a moment is judged [s]: at 8 m/s, the shadow of a
+    # cloud passes a receiver 20 m away in this time.
+    passing_s=2.5,
+    # Quantile of the level over `window_s` that stands for free sun; and the lowest level of free sun
+    # relative to it, and relative to the highest within `passing_s` [1].
+    bright=0.95,
+    free=0.97,
+    steady=0.98,
+    # Probability that clock or place are wrong, so that the sun stands elsewhere [1].
+    wrong_clock=0.02,
+    # Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
+    other_sun_deg=7.0,
+    # Chi-square per interval of the best draw beyond which no sky explains a spectrum.
+    misfit=4.0,
+    # Probability that a state needs to be named [1].
+    decided=0.5,
+    # Standard uncertainty of a diffuse fraction that no record removes: alone, and times f (1 - f) [1].
+    floor=0.008,
+    model=0.10,
+)
 
-@dataclass(frozen=True)
-class SkyRules:
-    """Prior of skies and receivers, before a spectrum is compared.
-
-    Attributes
-    ----------
-    window_nm
-        Centres of the compared intervals [nm]: between the bands of oxygen and water.
-    half_width_nm
-        Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
-    shape_u
-        Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
-    colour_u, colour_nm
-        Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
-        receiver, and the residual of the model against others (tests: 2 to 3 %).
-    wide_u, wide_prior
-        Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
-        one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
-    aerosol, aerosol_spread
-        Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
-    hazy_aerosol
-        Optical depth from which clear air is called hazy [1].
-    priors
-        Probabilities of `KINDS`.
-    calm, restless
-        Relative standard deviation of the level over `window_s` below which, and above which, each of
-        `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the
-        sun.
-    calm_spread, restless_spread
-        Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
-    window_s
-        Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
-    passing_s
-        Half width of the interval within which the light of a moment is judged [s]: at 8 m/s, the shadow of
-        a cloud passes a receiver 20 m away in this time.
-    bright, free, steady
-        Quantile of the level over `window_s` that stands for free sun; and the lowest level of free sun
-        relative to it, and relative to the highest within `passing_s` [1].
-    wrong_clock
-        Probability that clock or place are wrong, so that the sun stands elsewhere [1].
-    other_sun_deg
-        Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
-    misfit
-        Chi-square per interval of the best draw beyond which no sky explains a spectrum.
-    decided
-        Probability that a state needs to be named [1].
-    floor, model
-        Standard uncertainty of a diffuse fraction that no record removes: alone, and times f (1 - f) [1].
-    """
-
-    window_nm: tuple[float, ...] = (
-        415.0, 445.0, 475.0, 500.0, 525.0, 550.0, 575.0, 615.0, 640.0, 670.0, 708.0, 748.0, 778.0, 865.0,
-        882.0, 1005.0,
-    )  # fmt: skip
-    half_width_nm: float = 8.0
-    shape_u: float = 0.015
-    colour_u: float = 0.03
-    colour_nm: float = 200.0
-    wide_u: float = 0.2
-    wide_prior: float = 0.08
-    aerosol: float = 0.12
-    aerosol_spread: float = 0.9
-    hazy_aerosol: float = 0.25
-    priors: tuple[float, ...] = (0.43, 0.12, 0.20, 0.25)
-    calm: tuple[float, ...] = (0.0, 0.004, 0.06, 0.0)
-    restless: tuple[float, ...] = (0.01, 0.03, np.inf, 0.05)
-    calm_spread: tuple[float, ...] = (1.0, 0.8, 0.5, 1.0)
-    restless_spread: float = 0.5
-    window_s: float = 90.0
-    passing_s: float = 2.5
-    bright: float = 0.95
-    free: float = 0.97
-    steady: float = 0.98
-    wrong_clock: float = 0.02
-    other_sun_deg: float = 7.0
-    misfit: float = 4.0
-    decided: float = 0.5
-    floor: float = 0.008
-    model: float = 0.10
-
-
-RULES = SkyRules()
 
 #: Number of drawn states of the air; clouds are drawn over each.
 _N_AIR_STATES = 512
@@ -495,7 +467,7 @@ class Windows(NamedTuple):
 def windows_in(wavelength: Floats) -> Windows:
     # Return the intervals that channels (channel,) [nm], in any order, cover.
     rows, centres = [], []
-    for centre in RULES.window_nm:
+    for centre in WINDOWS_NM:
         is_inside = np.abs(wavelength - centre) <= RULES.half_width_nm
         is_covered = wavelength.size and wavelength.min() <= centre - 2.0 and centre + 2.0 <= wavelength.max()
         if is_covered and is_inside.any():
@@ -666,7 +638,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     #
     # Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
     # colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small
-    # prior, `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and
+    # prior, `RULES.wide_u`. The evidence of a kind of sky is averaged over `RULES.window_s` and
     # weighted by how much the level varies in it. Where even the best draw does not fit, all misfits are
     # divided until it does, which gives a wide posterior. A spectrum that clear air under another sun
     # explains better contradicts the clock.

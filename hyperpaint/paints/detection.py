@@ -5,7 +5,7 @@ Reflectance and a paint library come in, detections go out. For pictures, the ac
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
@@ -116,31 +116,29 @@ def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Arra
 # --- statistics of the background, and thresholds for a given false-alarm rate -----------------------------
 
 
-@dataclass(frozen=True)
-class DetectionRules:
-    # Thresholds of detection.
-    #: Maximum memory of the sample of pixels for thresholds [byte]: 123,000 pixels of 272 bands.
-    sample_bytes: int = 2**27
-    #: Minimum level of a pixel of a paint [1], on a body part turned away from a high sun: below, dark glass
-    #: would be taken for black paint.
-    min_level: float = 0.25
-    #: Maximum level of a pixel of a paint [1], on a body part turned towards a low sun: beyond, any
-    #: proportional spectrum would be taken for the paint.
-    max_level: float = 2.5
-    #: Distance caused by noise alone, at a signal-to-noise ratio of 100 [1].
-    min_distance: float = 0.01
-    #: Factor of ``unknown_rate`` for the distance limit within which pixels are excluded from the background
-    #: as possible target pixels [1]: half of a car's pixels lie beyond the limit for detections.
-    target_rate_ratio: float = 10.0
-    #: Share of these pixels over the false-alarm rate above which a warning is given [1].
-    explained_ratio: float = 10.0
-    #: Number of parts of the line for the cross-check of thresholds.
-    folds: int = 8
-    #: Minimum number of sample pixels above a threshold: fewer do not determine a rate.
-    min_alarms: float = 5.0
+#: Thresholds of detection.
+DETECTION = SimpleNamespace(
+    # Maximum memory of the sample of pixels for thresholds [byte]: 123,000 pixels of 272 bands.
+    sample_bytes=2**27,
+    # Minimum level of a pixel of a paint [1], on a body part turned away from a high sun: below, dark glass
+    # would be taken for black paint.
+    min_level=0.25,
+    # Maximum level of a pixel of a paint [1], on a body part turned towards a low sun: beyond, any
+    # proportional spectrum would be taken for the paint.
+    max_level=2.5,
+    # Distance caused by noise alone, at a signal-to-noise ratio of 100 [1].
+    min_distance=0.01,
+    # Factor of ``unknown_rate`` for the distance limit within which pixels are excluded from the background
+    # as possible target pixels [1]: half of a car's pixels lie beyond the limit for detections.
+    target_rate_ratio=10.0,
+    # Share of these pixels over the false-alarm rate above which a warning is given [1].
+    explained_ratio=10.0,
+    # Number of parts of the line for the cross-check of thresholds.
+    folds=8,
+    # Minimum number of sample pixels above a threshold: fewer do not determine a rate.
+    min_alarms=5.0,
+)
 
-
-DETECTION = DetectionRules()
 
 #: Number of sample pixels processed together.
 PIXELS_AT_ONCE = 4096

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -396,41 +396,26 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
 # --- sky mirrored by a coat relative to its Fresnel reflectance, from the variation of pixels --------------
 
 
-@dataclass(frozen=True)
-class StrengthRules:
-    """Conditions under which the strength of a coat can be measured.
-
-    Attributes
-    ----------
-    min_members
-        Minimum number of member pixels: fewer have no reliable principal component.
-    sun_zenith_deg
-        Minimum and maximum zenith angle of the sun [degree]: under a high sun leans change the light little,
-        under a low sun terms of higher order matter.
-    min_share
-        Minimum share of the pixels' variance in the first component [1]: below, it is noise.
-    max_misfit
-        Maximum part of the component that the fit of its two terms does not explain [1].
-    max_u
-        Maximum standard uncertainty of a reported strength [1].
-    slope_deg
-        Zenith angle of the two directions between which the slope of sky radiance is taken [degree]: twice a
-        usual lean, since a part mirrors the sky at twice its lean.
-    first_order
-        Relative uncertainty of the strength from terms of higher order [1]: from simulated mirroring body
-        parts with leans of 2.5 degrees (tests).
-    """
-
-    min_members: int = 40
-    sun_zenith_deg: tuple[float, float] = (25.0, 70.0)
-    min_share: float = 0.5
-    max_misfit: float = 0.05
-    max_u: float = 0.3
-    slope_deg: float = 4.0
-    first_order: float = 0.1
-
-
-STRENGTH = StrengthRules()
+#: Conditions under which the strength of a coat can be measured.
+STRENGTH = SimpleNamespace(
+    # Minimum number of member pixels: fewer have no reliable principal component.
+    min_members=40,
+    # Minimum and maximum zenith angle of the sun [degree]: under a high sun leans change the light little,
+    # under a low sun terms of higher order matter.
+    sun_zenith_deg=(25.0, 70.0),
+    # Minimum share of the pixels' variance in the first component [1]: below, it is noise.
+    min_share=0.5,
+    # Maximum part of the component that the fit of its two terms does not explain [1].
+    max_misfit=0.05,
+    # Maximum standard uncertainty of a reported strength [1].
+    max_u=0.3,
+    # Zenith angle of the two directions between which the slope of sky radiance is taken [degree]: twice a
+    # usual lean, since a part mirrors the sky at twice its lean.
+    slope_deg=4.0,
+    # Relative uncertainty of the strength from terms of higher order [1]: from simulated mirroring body parts
+    # with leans of 2.5 degrees (tests).
+    first_order=0.1,
+)
 
 
 def strength_of(
