@@ -20,6 +20,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -1046,51 +1047,11 @@ def _attrs_of(name: str) -> dict[str, Any]:
 # --- estimates ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ComparisonRules:
-    """Settings and thresholds of the comparison of camera and record.
-
-    Attributes
-    ----------
-    windows
-        Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
-        the oxygen A band, water; not 690 to 740, where no polynomial of low degree fits the edge of
-        vegetation.
-    degree
-        Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
-        wider.
-    blocks, block_lines
-        Number of slabs read, evenly over the line, and lines per slab; they bound time and memory.
-    column_groups
-        Number of groups of neighbouring columns that are averaged; over an eighth of the swath a smile of 0.5
-        nm changes by 0.1 nm, which widens the mean by less than 0.1 %.
-    least_pixels, least_groups
-        Minimum number of pixels of a group, and of groups of a window.
-    max_shift_nm
-        Range of the search; a field spectrometer is specified to 0.5 nm.
-    widths
-        Trial widths relative to the declared one [1].
-    airy, path_prior
-        Wavelength above which lines are absorption of the air, not of the sun [nm], and the standard
-        deviation of the share of the air path below the camera [1]: 100 m are 0.9 % under a sun at 45
-        degrees, half that in saturated bands.
-    shift_prior_nm, tilt_prior, width_prior
-        Standard deviations of the prior: of the shift [nm], its change over 100 nm [nm], and the width over
-        the declared one [1]. They are wide, and matter only where the light has no structure.
-    least_shift_u_nm, least_width_u
-        Lower limits of reported uncertainties: residuals of closed loops with line shapes slightly different
-        from the declared ones [nm], [1].
-    significance
-        Departure over its standard uncertainty above which instruments differ; 5, since neighbouring bands
-        are not independent and there are three parameters.
-    camera_significance
-        Shift of the camera over its uncertainty above which the camera is corrected by its share; otherwise
-        only the record is
-    least_effect
-        Relative change of matched irradiance below which no band is corrected [1].
-    """
-
-    windows: tuple[tuple[float, float], ...] = (
+#: Settings and thresholds of the comparison of camera and record.
+COMPARISON = SimpleNamespace(
+    # Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
+    # the oxygen A band, water; not 690 to 740, where no polynomial of low degree fits the edge of vegetation.
+    windows=(
         (402.0, 460.0),
         (460.0, 530.0),
         (530.0, 600.0),
@@ -1098,28 +1059,46 @@ class ComparisonRules:
         (740.0, 800.0),
         (800.0, 870.0),
         (890.0, 985.0),
-    )
-    degree: int = 5
-    blocks: int = 8
-    block_lines: int = 16
-    column_groups: int = 8
-    least_pixels: int = 64
-    least_groups: int = 2
-    max_shift_nm: float = 1.5
-    widths: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6)
-    airy: float = 680.0
-    path_prior: float = 0.01
-    shift_prior_nm: float = 1.0
-    tilt_prior: float = 0.05
-    width_prior: float = 0.5
-    least_shift_u_nm: float = 0.003
-    least_width_u: float = 0.003
-    significance: float = 5.0
-    camera_significance: float = 3.0
-    least_effect: float = 1e-3
-
-
-COMPARISON = ComparisonRules()
+    ),
+    # Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
+    # wider.
+    degree=5,
+    # Number of slabs read, evenly over the line, and lines per slab; they bound time and memory.
+    blocks=8,
+    block_lines=16,
+    # Number of groups of neighbouring columns that are averaged; over an eighth of the swath a smile of 0.5
+    # nm changes by 0.1 nm, which widens the mean by less than 0.1 %.
+    column_groups=8,
+    # Minimum number of pixels of a group, and of groups of a window.
+    least_pixels=64,
+    least_groups=2,
+    # Range of the search; a field spectrometer is specified to 0.5 nm.
+    max_shift_nm=1.5,
+    # Trial widths relative to the declared one [1].
+    widths=(0.6, 0.8, 1.0, 1.2, 1.4, 1.6),
+    # Wavelength above which lines are absorption of the air, not of the sun [nm], and the standard deviation
+    # of the share of the air path below the camera [1]: 100 m are 0.9 % under a sun at 45 degrees, half that
+    # in saturated bands.
+    airy=680.0,
+    path_prior=0.01,
+    # Standard deviations of the prior: of the shift [nm], its change over 100 nm [nm], and the width over the
+    # declared one [1]. They are wide, and matter only where the light has no structure.
+    shift_prior_nm=1.0,
+    tilt_prior=0.05,
+    width_prior=0.5,
+    # Lower limits of reported uncertainties: residuals of closed loops with line shapes slightly different
+    # from the declared ones [nm], [1].
+    least_shift_u_nm=0.003,
+    least_width_u=0.003,
+    # Departure over its standard uncertainty above which instruments differ; 5, since neighbouring bands are
+    # not independent and there are three parameters.
+    significance=5.0,
+    # Shift of the camera over its uncertainty above which the camera is corrected by its share; otherwise
+    # only the record is.
+    camera_significance=3.0,
+    # Relative change of matched irradiance below which no band is corrected [1].
+    least_effect=1e-3,
+)
 
 _COARSE_STEP_NM = 0.25
 _ITERATIONS = 8
@@ -1169,8 +1148,8 @@ class Comparison(NamedTuple):
         # Return the shift at wavelengths [nm].
         return np.asarray(self.shift + self.tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
-    def is_significant(self, rules: ComparisonRules = COMPARISON) -> bool:
-        # Return whether camera and record differ beyond chance and beyond `ComparisonRules.least_effect`.
+    def is_significant(self, rules: SimpleNamespace = COMPARISON) -> bool:
+        # Return whether camera and record differ beyond chance and beyond `COMPARISON.least_effect`.
         return bool(
             not self.at_limit
             and self.departure > rules.significance
@@ -1235,7 +1214,7 @@ class _WindowFit:
         return np.asarray(ratio - self.basis @ (self.basis.T @ ratio))
 
 
-def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Comparison | None:
+def compared(line: xr.Dataset, rules: SimpleNamespace = COMPARISON) -> Comparison | None:
     """Return the difference between camera and record; None without a window of enough bands and light.
 
     ``line``: with counts or radiance and their irradiance, as `hyperpaint.reflectance` needs them. Raises
@@ -1284,7 +1263,7 @@ def _block_means(
     declared: Declared,
     used_bands: Array,
     windows: list[tuple[float, float]],
-    rules: ComparisonRules,
+    rules: SimpleNamespace,
 ) -> tuple[list[tuple[Floats, Array]], Floats]:
     # Return slabs evenly over the line, and the weights (sample,) of record samples in their light. Of a
     # slab: means (band, column) of all bands, NaN for bands that were not read, and pixels (column,).
@@ -1309,7 +1288,7 @@ def _window_fit(
     is_inside: Array,
     blocks: list[tuple[Floats, Array]],
     record: tuple[Floats, Floats],
-    rules: ComparisonRules,
+    rules: SimpleNamespace,
 ) -> _WindowFit | None:
     # Return the inputs of the fit of a window; None where record or pixels cover too little of it.
     light, noise = record  # (channel,): mean of the light, and its noise
@@ -1369,7 +1348,7 @@ def _shifts(fit: _WindowFit, parameters: Floats) -> Floats:
     return np.asarray(parameters[0] + parameters[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
-def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
+def _joint_fit(fits: list[_WindowFit], rules: SimpleNamespace) -> Comparison:
     # Fit shift, tilt and width at which radiance over irradiance is smoothest in all windows and groups.
     # A fourth parameter is the air below the camera, which increases absorption in radiance only.
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
@@ -1421,7 +1400,7 @@ def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 
 
 def _linearised(
-    fits: list[_WindowFit], parameters: Floats, rules: ComparisonRules
+    fits: list[_WindowFit], parameters: Floats, rules: SimpleNamespace
 ) -> tuple[list[Floats], list[Floats]]:
     # Return departures (band, group) and their derivatives (parameter, band, group) of every window.
     departures, slopes = [], []
@@ -1457,7 +1436,7 @@ def _covariance(
     departures: list[Floats],
     slopes: list[Floats],
     prior: Floats,
-    rules: ComparisonRules,
+    rules: SimpleNamespace,
 ) -> Floats:
     # Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
     #
@@ -1506,7 +1485,7 @@ def align(
     line: xr.Dataset,
     *,
     apply: Alignment = "auto",
-    rules: ComparisonRules = COMPARISON,
+    rules: SimpleNamespace = COMPARISON,
 ) -> xr.Dataset:
     r"""Compare camera and irradiance record in flight, and correct significant differences.
 
@@ -1689,42 +1668,28 @@ def _sentence(comparison: Comparison) -> str:
 # --- wavelengths and width of the irradiance record alone, from solar lines and those of oxygen ------------
 
 
-@dataclass(frozen=True)
-class SunLineRules:
-    """Settings of the comparison of a record with solar lines.
-
-    Attributes
-    ----------
-    windows
-        Compared intervals [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1
-        nm hold many solar lines, gave widths twice too large of a real spectrometer.
-    degree
-        Degree of the polynomial that models the unknown colour of the light in a window.
-    shifts_nm, widths_nm
-        Trials: shifts [nm] and full widths at half maximum [nm], both even.
-    cell_nm
-        Width of the table's cells, which widens every solar line [nm].
-    least_shift_u_nm, least_width_u_nm
-        Lower limits of reported uncertainties: three windows of a real record agreed to 0.06 nm and
-        0.9 nm (0.3 nm without the narrowest solar lines).
-    record_prior_nm, camera_prior_nm, camera_width_prior
-        Standard deviations of the prior: of the wavelengths of a field spectrometer
-        (its makers specify 0.5 nm at most) and of a calibrated camera [nm], and of the camera's width [1].
-    """
-
-    windows: tuple[tuple[float, float], ...] = ((475.0, 540.0), (610.0, 680.0), (745.0, 775.0))
-    degree: int = 5
-    shifts_nm: tuple[float, float, float] = (-2.0, 2.0, 0.1)
-    widths_nm: tuple[float, float, float] = (1.0, 12.0, 0.25)
-    cell_nm: float = 1.0
-    least_shift_u_nm: float = 0.06
-    least_width_u_nm: float = 0.3
-    record_prior_nm: float = 0.3
-    camera_prior_nm: float = 0.2
-    camera_width_prior: float = 0.02
-
-
-SUN_LINES = SunLineRules()
+#: Settings of the comparison of a record with solar lines.
+SUN_LINES = SimpleNamespace(
+    # Compared intervals [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1 nm
+    # hold many solar lines, gave widths twice too large of a real spectrometer.
+    windows=((475.0, 540.0), (610.0, 680.0), (745.0, 775.0)),
+    # Degree of the polynomial that models the unknown colour of the light in a window.
+    degree=5,
+    # Trials: shifts [nm] and full widths at half maximum [nm], both even.
+    shifts_nm=(-2.0, 2.0, 0.1),
+    widths_nm=(1.0, 12.0, 0.25),
+    # Width of the table's cells, which widens every solar line [nm].
+    cell_nm=1.0,
+    # Lower limits of reported uncertainties: three windows of a real record agreed to 0.06 nm and 0.9 nm (0.3
+    # nm without the narrowest solar lines).
+    least_shift_u_nm=0.06,
+    least_width_u_nm=0.3,
+    # Standard deviations of the prior: of the wavelengths of a field spectrometer (its makers specify 0.5 nm
+    # at most) and of a calibrated camera [nm], and of the camera's width [1].
+    record_prior_nm=0.3,
+    camera_prior_nm=0.2,
+    camera_width_prior=0.02,
+)
 
 
 class RecordAgainstSun(NamedTuple):
@@ -1740,7 +1705,6 @@ def divided(
     width: tuple[float, float],
     sun: RecordAgainstSun | None,
     declared_fwhm: tuple[float, float],
-    rules: SunLineRules = SUN_LINES,
 ) -> dict[str, float]:
     # Return the shares of both instruments in their difference, each with its standard uncertainty (``_u``).
     #
@@ -1757,12 +1721,12 @@ def divided(
     record, camera = declared_fwhm
     rows = [
         (-1.0, 1.0, *shift),
-        (1.0, 0.0, 0.0, rules.record_prior_nm),
-        (0.0, 1.0, 0.0, rules.camera_prior_nm),
+        (1.0, 0.0, 0.0, SUN_LINES.record_prior_nm),
+        (0.0, 1.0, 0.0, SUN_LINES.camera_prior_nm),
     ]
     squares = [
         (1.0, -1.0, (record * width[0]) ** 2, 2.0 * record**2 * width[0] * width[1]),
-        (0.0, 1.0, 0.0, 2.0 * camera**2 * rules.camera_width_prior),
+        (0.0, 1.0, 0.0, 2.0 * camera**2 * SUN_LINES.camera_width_prior),
     ]
     if sun is not None:
         rows.append((1.0, 0.0, sun.shift, sun.shift_u))
@@ -1790,23 +1754,21 @@ def _least_squares(rows: list[tuple[float, float, float, float]]) -> tuple[list[
     return (inverse @ weighted[:, :2].T @ weighted[:, 2]).tolist(), np.sqrt(np.diag(inverse)).tolist()
 
 
-def record_against_sun(
-    channels: Floats, spectrum: Floats, rules: SunLineRules = SUN_LINES
-) -> RecordAgainstSun | None:
+def record_against_sun(channels: Floats, spectrum: Floats) -> RecordAgainstSun | None:
     # Return shift and width of a record (channel,) of daylight; None where it has too few channels.
     #
     # In every window the logarithm of the table at a shift and a width, with free strengths of oxygen and
     # water and plus a polynomial, is fitted to the logarithm of the record. Windows are weighted by the
     # inverse of their variance; where they disagree by more than their uncertainty, the uncertainty of the
     # result is increased.
-    windows = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
+    windows = [_window(channels, spectrum, low, high) for low, high in SUN_LINES.windows]
     fits = np.array([fit for fit in windows if fit is not None])
     if not len(fits):
         return None
     numbers = []
     for value, uncertainty, min_uncertainty in (
-        (fits[:, 0], fits[:, 1], rules.least_shift_u_nm),
-        (fits[:, 2], fits[:, 3], rules.least_width_u_nm),
+        (fits[:, 0], fits[:, 1], SUN_LINES.least_shift_u_nm),
+        (fits[:, 2], fits[:, 3], SUN_LINES.least_width_u_nm),
     ):
         weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
         mean = float(weight @ value / weight.sum())
@@ -1816,14 +1778,14 @@ def record_against_sun(
 
 
 def _window(
-    channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
+    channels: Floats, spectrum: Floats, low: float, high: float
 ) -> tuple[float, float, float, float] | None:
     # Return shift and width of a window, each with its uncertainty [nm]; None without a minimum.
     is_used = (channels >= low) & (channels <= high) & (spectrum > 0)
-    if is_used.sum() < rules.degree + 1 + 12:
+    if is_used.sum() < SUN_LINES.degree + 1 + 12:
         return None
     wavelength, log = channels[is_used], np.log(spectrum[is_used])
-    shifts, widths, log_sun, basis = _trials(tuple(wavelength.tolist()), rules)
+    shifts, widths, log_sun, basis = _trials(tuple(wavelength.tolist()))
     residual = log - log_sun
     residual = residual - np.einsum("swck,swk->swc", basis, np.einsum("swck,swc->swk", basis, residual))
     costs = np.einsum("swc,swc->sw", residual, residual)
@@ -1844,7 +1806,7 @@ def _window(
     )
     hessian = np.array([[curvature[0], mixed], [mixed, curvature[1]]])
     step = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
-    freedom = wavelength.size - (rules.degree + 1) - 4
+    freedom = wavelength.size - (SUN_LINES.degree + 1) - 4
     variance = 2.0 * np.diag(np.linalg.inv(hessian)) * costs_around[1, 1] / max(freedom, 1)
     steps = np.array([shifts[1] - shifts[0], widths[1] - widths[0]])
     uncertainty = np.sqrt(np.maximum(variance, 0.0)) * steps
@@ -1853,22 +1815,22 @@ def _window(
 
 
 @functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
-def _trials(channels: tuple[float, ...], rules: SunLineRules) -> tuple[Floats, Floats, Floats, Floats]:
+def _trials(channels: tuple[float, ...]) -> tuple[Floats, Floats, Floats, Floats]:
     # Return trial shifts (shift,) and widths (width,) [nm], logarithms of the sun above the air (shift,
     # width, channel), and an orthonormal basis (shift, width, channel, term): polynomial, then gases, 0 for
     # missing gases.
     wavelength = np.array(channels)
     smooth = np.polynomial.legendre.legvander(
-        (wavelength - wavelength.mean()) / (np.ptp(wavelength) / 2.0), rules.degree
+        (wavelength - wavelength.mean()) / (np.ptp(wavelength) / 2.0), SUN_LINES.degree
     )
-    first, last, step = rules.shifts_nm
+    first, last, step = SUN_LINES.shifts_nm
     shifts = np.arange(first, last + step / 2, step)
-    first, last, step = rules.widths_nm
+    first, last, step = SUN_LINES.widths_nm
     widths = np.arange(first, last + step / 2, step)
     log_sun = np.empty((shifts.size, widths.size, wavelength.size))
     basis = np.zeros((*log_sun.shape, smooth.shape[1] + 2))
     for j, width in enumerate(widths):
-        log_sun[:, j], gases = _log_light(wavelength + shifts[:, None], float(width), rules)
+        log_sun[:, j], gases = _log_light(wavelength + shifts[:, None], float(width))
         has_lines = np.ptp(gases, axis=2) > 1e-4  # (gas, shift)
         for group in itertools.product((False, True), repeat=len(gases)):
             shifts_of_group = np.flatnonzero((has_lines == np.array(group)[:, None]).all(axis=0))
@@ -1880,14 +1842,14 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> tuple[Floats, F
     return shifts, widths, log_sun, basis
 
 
-def _log_light(wavelengths: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
+def _log_light(wavelengths: Floats, width: float) -> tuple[Floats, Floats]:
     # Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width:
     # of the sun above the air, and the changes by two gases (gas, shift, channel).
     table, gases = sunlight_table(), disort_tables()  # gases at air mass 1.5 and 1.4 cm of water
     from_mean = np.abs(table.wavelength - wavelengths.mean(axis=1, keepdims=True))
     is_near = from_mean < np.ptp(wavelengths, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
     cells = is_near.any(axis=0)
-    squared_width = max(width**2 - 8.0 * np.log(2.0) * rules.cell_nm**2 / 12.0, 0.25)
+    squared_width = max(width**2 - 8.0 * np.log(2.0) * SUN_LINES.cell_nm**2 / 12.0, 0.25)
     offset = table.wavelength[cells] - wavelengths[..., None]
     response = np.exp(-4.0 * np.log(2.0) / squared_width * offset**2) * is_near[:, None, cells]
     response /= response.sum(axis=2, keepdims=True)
