@@ -16,9 +16,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 # one profile for all property tests: how fast the machine is today fails none of them, and fixtures of a test
-# are not changed by its examples
+# are not changed by its examples; HYPERPAINT_EXAMPLES=250 searches for longer
 settings.register_profile(
-    "hyperpaint", deadline=None,
+    "hyperpaint", deadline=None, max_examples=int(os.environ.get("HYPERPAINT_EXAMPLES", "20")),
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )  # fmt: skip
 settings.load_profile("hyperpaint")

@@ -7,7 +7,7 @@ import numpy as np
 import pyproj
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 from support.geocentric_rays import START
@@ -99,7 +99,6 @@ def test_quaternions_change_sign_without_harm() -> None:
     assert np.abs(np.abs(middle) - 180).max() < 1e-4
 
 
-@settings(max_examples=30)
 @given(st.lists(st.floats(-180, 180), min_size=6, max_size=6), st.floats(0, 1))
 def test_rotations_are_those_of_scipy(angles: list[float], weight: float) -> None:
     ends = np.array(angles).reshape(2, 3)

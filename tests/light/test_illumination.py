@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_errors
 
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -98,7 +98,6 @@ def test_match_refuses() -> None:
 # ------------------------------------------------------------------------------------------------- smile
 
 
-@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     columns=st.integers(1, 40),

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError
@@ -49,7 +49,6 @@ def test_nodes_and_slope_of_the_responsivity_move_the_centre_of_gravity() -> Non
     assert moved == pytest.approx(0.01 * (6.0 * SIGMA) ** 2, rel=0.01)
 
 
-@settings(max_examples=25)
 @given(
     spectrometer=st.floats(1.5, 5.0),
     imager=st.floats(1.5, 12.0),

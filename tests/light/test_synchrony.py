@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError, TimeError
@@ -32,7 +32,6 @@ def test_few_samples_and_gaps() -> None:
 # --- neighbours --------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
 @given(
     steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
     lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
@@ -68,7 +67,6 @@ def test_spectra_without_a_value_are_passed_over() -> None:
 # --- clocks ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     samples=st.integers(2, 30),

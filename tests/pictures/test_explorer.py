@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_error, expect_errors, expect_words, refusal
 from support.strategies import flight
 
@@ -37,7 +37,6 @@ def spectrum_of(state: Explored, place: exploring.Place) -> Spectrum:
 # --- regions -----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60)
 @given(st.lists(st.tuples(PLACES, PLACES), max_size=8))
 def test_corners_are_whole_pixels_of_the_line(places: list[tuple[float, float]]) -> None:
     made = corners_at([place[0] for place in places], [place[1] for place in places], (24, 6))

@@ -6,14 +6,13 @@ from typing import Any
 
 import pyproj
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.regions import Region, Regions, polygons, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
-FILES = settings(max_examples=40)
 
 plain = st.recursive(
     st.none()
@@ -38,7 +37,6 @@ regions = st.builds(
 )
 
 
-@FILES
 @given(region=regions, crs=st.sampled_from([None, "EPSG:32618"]))
 def test_files_come_back_as_they_went(region: Region, crs: str | None, tmp_path: Path) -> None:
     before = Regions((region,), "sensor" if crs is None else "map", crs)
@@ -248,7 +246,6 @@ def test_every_bad_feature_is_told_of() -> None:
 VALID = json.dumps({**collection(properties={"name": "a", "year": 2019}), "coordinates": "sensor"}).encode()
 
 
-@FILES
 @given(
     edits=st.lists(
         st.tuples(

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
@@ -85,14 +85,12 @@ corner = st.tuples(awkward, awkward)
 ring = st.lists(corner, min_size=3, max_size=9)
 
 
-@settings(max_examples=250)
 @given(polygon=ring, holes=st.lists(ring, max_size=2), points=st.lists(corner, min_size=1, max_size=12))
 def test_points_of_any_polygon_as_in_rational_numbers(polygon: Any, holes: Any, points: Any) -> None:
     # rings that cross and touch themselves, edges that meet points by a hair, holes outside
     assert fast(polygon, holes, points) == [slow(polygon, holes, *point) for point in points]
 
 
-@settings(max_examples=60)
 @given(
     start=st.tuples(st.integers(-9, 9), st.integers(-9, 9)),
     step=st.tuples(st.integers(-7, 7), st.integers(-7, 7)),

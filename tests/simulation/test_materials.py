@@ -62,7 +62,6 @@ def effective_factor(albedo: np.ndarray, index: float) -> np.ndarray:
 
 class TestFresnel:
     @given(st.floats(0.01, 1.5), INDICES)
-    @settings(max_examples=50)
     def test_equals_the_form_by_angles(self, angle: float, index: float) -> None:
         assert_allclose(fresnel_reflectance(np.cos(angle), index), amplitudes(angle, index), rtol=1e-9)
 
@@ -72,7 +71,6 @@ class TestFresnel:
         )
 
     @given(INDICES)
-    @settings(max_examples=20)
     def test_the_closed_form_is_the_integral(self, index: float) -> None:
         integral = quad(lambda u: 2.0 * u * float(fresnel_reflectance(u, index)), 0.0, 1.0)[0]
         assert_allclose(hemispherical_reflectance(index), integral, rtol=1e-6)
@@ -144,7 +142,6 @@ class TestCoatedBase:
 class TestInversion:
     @pytest.mark.parametrize("geometry", GEOMETRIES)
     @given(st.floats(0.0, 0.95), st.floats(1.1, 2.0))
-    @settings(max_examples=30)
     def test_round_trip(self, geometry: str, measured: float, index: float) -> None:
         measured *= min(1.0, float(coated_reflectance(1.0, index, geometry=geometry)))
         albedo = base_albedo(measured, index, geometry=geometry)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from support.refusals import expect_words, refusal
 
@@ -61,7 +61,6 @@ def test_headings_turn_clockwise(heading: float, ahead: tuple[int, int], right: 
     np.testing.assert_allclose(aside + exposed, np.array(right) / np.hypot(*right), atol=1e-9)
 
 
-@settings(max_examples=30)
 @given(ANGLE, ANGLE, st.floats(0.0, 359.9))
 def test_rotations_are_those_of_scipy_and_angles_come_back(roll: float, pitch: float, heading: float) -> None:
     flight = platform_from_poses(

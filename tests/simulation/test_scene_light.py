@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from dask.base import tokenize
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 from oracles.disort_sky import relative_sky
 from scipy.integrate import quad
@@ -196,7 +196,6 @@ class TestPresets:
 
 class TestHaze:
     @given(st.floats(500.0, 300_000.0))
-    @settings(max_examples=20)
     def test_at_the_visibility_two_per_cent_of_contrast_are_left(self, visibility: float) -> None:
         assert np.exp(-Haze(visibility).extinction(np.array([550.0]))[0] * visibility) == pytest.approx(
             0.02, rel=1e-3
@@ -211,7 +210,6 @@ class TestHaze:
         assert blue / red == pytest.approx(2.0**4.08, rel=1e-6)
 
     @given(st.floats(-0.9, 0.9), st.floats(2_000.0, 300_000.0))
-    @settings(max_examples=20)
     def test_in_even_light_a_path_changes_nothing(self, asymmetry: float, visibility: float) -> None:
         # a uniform sky over a white ground, and air that absorbs nothing: all is one radiance, E / pi
         haze = Haze(visibility, asymmetry=asymmetry, scattering_albedo=1.0, ground=1.0)
@@ -371,7 +369,6 @@ class TestTable:
         assert_allclose([made.wavelength, made.sun], [[400.0, 500.0], [1.0, 2.0]])
 
     @given(st.binary(max_size=300) | st.text(alphabet="waveln gth[m],su\n0159.e-#()_°٣ ", max_size=300))
-    @settings(max_examples=150)
     def test_whatever_a_file_holds(self, tmp_path: Path, text: str | bytes) -> None:
         for before in (b"", HEADER.encode() + b"\n"):
             content = before + (text if isinstance(text, bytes) else text.encode())
@@ -408,7 +405,6 @@ def test_grey_clouds_have_no_colour() -> None:
 
 
 @given(st.floats(0.0, 8.0), st.floats(0.0, 85.0))
-@settings(max_examples=30)
 def test_light_is_split_and_never_negative(oktas: float, zenith: float) -> None:
     clear = Atmosphere.clear(zenith, wavelength=GRID)
     cloudy = clear.clouded(oktas)

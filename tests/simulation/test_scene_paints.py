@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 from support.traced_scenes import FEW_BANDS, SUN, flat_light, two_cars
 
@@ -53,7 +53,6 @@ INFRARED = GRID > 850
 
 
 @given(st.sampled_from(FAMILIES), st.integers(0, 10**9 - 1))
-@settings(max_examples=150)
 def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> None:
     paint = generate_paint(family, number)
     spectra = [paint.reflectance(GRID)]
@@ -70,7 +69,6 @@ def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> N
 
 
 @given(st.sampled_from(FAMILIES), st.integers(0, 10**6))
-@settings(max_examples=30)
 def test_a_number_is_one_paint(family: str, number: int) -> None:
     name = f"pigment:{family}:{number}"
     first = spectrum_of(name)(GRID)

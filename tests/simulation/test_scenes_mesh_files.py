@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
@@ -268,7 +268,6 @@ def test_a_ply_that_lies_is_refused(tmp_path: Path, trimesh: Any, data: bytes, w
 
 
 @given(st.integers(0, 3), st.binary(max_size=12), st.data())
-@settings(max_examples=80)
 def test_damage_raises_only_errors_in_words(
     tmp_path: Path, trimesh: Any, which: int, junk: bytes, data: Any
 ) -> None:
@@ -285,7 +284,6 @@ def test_damage_raises_only_errors_in_words(
 
 @pytest.mark.parametrize("parse", [parse_obj, check_ply, strip_glb])
 @given(data=st.binary(max_size=200))
-@settings(max_examples=60)
 def test_parsers_are_total(parse: Any, data: bytes) -> None:
     with contextlib.suppress(FormatError):
         parse(data, "x")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_words
 from support.traced_scenes import irradiance_series
 
@@ -136,7 +136,6 @@ def test_triangles_without_area_are_dropped_with_their_labels() -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.floats(-1e3, 1e3))
-@settings(max_examples=25)
 def test_size_does_not_decide_what_has_area(scale: float, shift: float) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

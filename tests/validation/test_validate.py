@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
 from support.refusals import expect_errors, expect_refusals, expect_words
@@ -873,7 +873,6 @@ def test_statistics_by_hand() -> None:
     )
 
 
-@settings(max_examples=60)
 @given(SPECTRA, SPECTRA, st.floats(0.2, 5.0))
 def test_what_a_factor_does_not_change(s: np.ndarray, r: np.ndarray, factor: float) -> None:
     one, other = statistics_of(s, r), statistics_of(factor * s, r)
@@ -882,7 +881,6 @@ def test_what_a_factor_does_not_change(s: np.ndarray, r: np.ndarray, factor: flo
     assert other["scale"] == pytest.approx(factor * one["scale"])
 
 
-@settings(max_examples=60)
 @given(SPECTRA, SPECTRA)
 def test_order_of_sizes(s: np.ndarray, r: np.ndarray) -> None:
     found = statistics_of(s, r)
@@ -894,7 +892,6 @@ def test_order_of_sizes(s: np.ndarray, r: np.ndarray) -> None:
         assert swapped[name] == pytest.approx(found[name], abs=1e-12)
 
 
-@settings(max_examples=30)
 @given(SPECTRA, st.floats(0.2, 5.0))
 def test_equal_shapes_have_no_angle(s: np.ndarray, factor: float) -> None:
     found = statistics_of(s, s)

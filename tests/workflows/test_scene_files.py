@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.commands import hyperpaint
 from support.refusals import expect_error, expect_words
 from support.traced_scenes import SUN, flat_light, flight, two_cars
@@ -357,7 +357,6 @@ def test_folders_and_long_files_are_refused(tmp_path: Path) -> None:
     assert "64 parts" in refused(path)
 
 
-@settings(max_examples=60)
 @given(st.data())
 def test_mutated_files_raise_only_our_errors(tmp_path: Path, data: st.DataObject) -> None:
     text = bytearray(example_scene().encode())
@@ -399,7 +398,6 @@ def test_spectra_that_are_none_are_refused(tmp_path: Path, text: str, problem: s
     expect_error(FormatError, re.escape(problem), lambda: read_spectrum_csv(path))
 
 
-@settings(max_examples=50)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_spectrum_or_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mine.csv"

@@ -147,7 +147,6 @@ def odd_libraries(draw: st.DrawFn) -> xr.Dataset:
     return made.assign_coords(good=("band", rng.random(bands) < draw(st.sampled_from([0.8, 1.1, 1.1]))))
 
 
-@settings(max_examples=60)
 @given(
     odd_libraries(),
     st.fixed_dictionaries(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.dirsig_exports import specular_fraction
 from support.refusals import expect_error, expect_errors
 
@@ -149,7 +149,6 @@ def test_what_is_no_such_file_is_refused(data: bytes, tmp_path: Path) -> None:
 # --- text --------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
 @given(
     st.lists(st.floats(0.01, 99_000), min_size=1, max_size=12, unique_by=lambda nm: round(nm, 2)),
     st.integers(1, 4),
@@ -262,7 +261,6 @@ _KEYS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True).filter(lambda key
 _VALUES = st.text("abcXYZ019 .,/()-", max_size=20).map(str.strip)
 
 
-@settings(max_examples=40)
 @given(st.dictionaries(_KEYS, _VALUES, max_size=6), st.dictionaries(_KEYS, _VALUES, max_size=4))
 def test_write_read_write_is_stable(outer: dict[str, str], inner: dict[str, str]) -> None:
     import tempfile
@@ -300,7 +298,6 @@ def test_names_become_plain(name: str, plain: str, token: str) -> None:
     assert (material_names([name]), material_ids([name])) == ([plain], [token])
 
 
-@settings(max_examples=60)
 @given(st.lists(st.text(max_size=12), max_size=12), st.lists(st.text("abAB_ 2()", max_size=4), max_size=6))
 def test_no_two_names_or_tokens_are_alike(names: list[str], taken: list[str]) -> None:
     for function in (material_ids, material_names):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support import ROOT
 from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
 from support.refusals import expect_equal, expect_error, expect_errors
@@ -93,7 +93,6 @@ def test_any_index_equals_numpy(
     header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
     line = open_envi(header)["values"]
 
-    @settings(max_examples=40)
     @given(st.tuples(*map(_index, _LENGTHS)))
     def check(key: tuple[Any, ...]) -> None:
         expected = cube

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import FormatError
@@ -266,7 +266,6 @@ _VALUES = st.one_of(
 )
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(_KEYS, _VALUES), max_size=6), st.booleans())
 def test_any_header_is_read_or_refused(pairs: list[tuple[str, str]], sound: bool) -> None:
     text = "\n".join(f"{key} = {value}" for key, value in pairs)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import refusal
 from support.tensor_files import rough_brdf, write_tensors
 
@@ -87,7 +87,6 @@ def test_headers_that_lie_are_refused(tmp_path: Path) -> None:
             hp.io.read_rgl(path)
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_no_header_crashes(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     folder = tmp_path_factory.mktemp("rgl")

@@ -11,7 +11,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.codecs import plain_zarr
 from support.headwall_flights import (
     BANDS,
@@ -548,7 +548,6 @@ def test_a_table_of_lines(tmp_path: Path) -> None:
     assert "assumed" not in flight.attrs
 
 
-@settings(max_examples=30)
 @given(st.data())
 def test_the_pose_comes_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

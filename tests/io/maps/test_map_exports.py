@@ -8,7 +8,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_equal, expect_errors
 
 import hyperpaint as hp
@@ -129,7 +129,6 @@ def test_a_plane_is_one_band(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.fromfile(tmp_path / "flags.img", "<u2"), np.arange(240))
 
 
-@settings(max_examples=25)
 @given(
     shape=st.tuples(st.integers(1, 9), st.integers(1, 5), st.integers(1, 9)),
     chunks=st.tuples(st.integers(1, 9), st.integers(1, 5), st.integers(1, 9)),

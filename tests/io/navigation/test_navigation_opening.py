@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.navigation_files import (
     CSV_HEADER,
     CSV_ROWS,
@@ -159,7 +159,6 @@ def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> No
     )
 
 
-@settings(max_examples=40)
 @given(st.data())
 def test_sbet_angles_and_times_come_back(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.refusals import expect_errors, expect_refusals, expect_words, refusal
 from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
@@ -421,7 +421,6 @@ def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:
 # --- properties
 
 
-@settings(max_examples=40)
 @given(
     values=st.lists(st.tuples(st.integers(1, 10**9), st.integers(-(10**6), 10**9)), min_size=2, max_size=30),
     comma=st.booleans(),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.painted_lines import raw
 from support.refusals import expect_error
 
@@ -106,7 +106,6 @@ def test_float_fill_is_nan_of_the_dtype() -> None:
     assert np.isnan(fill)
 
 
-@settings(max_examples=25)
 @given(
     st.lists(st.integers(1, 50), min_size=1, max_size=5),
     st.sampled_from([(6,), (1, 5), (2, 2, 2)]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
@@ -44,7 +44,6 @@ def test_judds_table_and_the_interface() -> None:
         Interface(1.0, -0.1)
 
 
-@settings(max_examples=60)
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.9), st.floats(0.0, 0.9))
 def test_both_are_undone_and_bounded(layer: float, k1: float, k2: float) -> None:
     interface = Interface(k1, k2)

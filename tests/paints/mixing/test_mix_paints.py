@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from support.library_examples import make_library
 
 import hyperpaint as hp
@@ -83,7 +83,6 @@ def test_linear_mixing_is_a_mean_and_pigments_darken_more(paints: xr.Dataset) ->
     assert float(pot.mean()) < 0.3 * float(side.mean())
 
 
-@settings(max_examples=30)
 @given(
     st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
     st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),

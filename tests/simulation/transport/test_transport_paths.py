@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given, settings as examples, strategies as st
+from hypothesis import given, strategies as st
 from support.transport_scenes import (
     COMPILED,
     QUAD,
@@ -385,7 +385,6 @@ def written(paths: list[tuple[int, float]], slots: int, draw: float = 0.5) -> tu
 
 
 @given(st.lists(st.integers(0, 6), max_size=4), st.integers(3, 14))
-@examples(max_examples=100 if COMPILED else 20)
 def test_factors_in_any_order_are_one_code(factors: list[int], bits: int) -> None:
     found = set()
     for order in itertools.permutations(factors):
@@ -429,7 +428,6 @@ def test_few_slots_keep_the_heaviest_and_the_total() -> None:
 
 
 @given(st.lists(st.floats(1e-6, 1e3), min_size=1, max_size=40), st.integers(1, 12), st.floats(1e-9, 1 - 1e-9))
-@examples(max_examples=200 if COMPILED else 20)
 def test_any_pixel_fits_its_slots(weights: list[float], slots: int, draw: float) -> None:
     codes, found = written(list(enumerate(weights)), slots, draw)
     assert (codes >= 0).sum() == min(slots, len(weights))
