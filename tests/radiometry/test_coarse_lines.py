@@ -43,7 +43,7 @@ def speckled(lines: int = 70, columns: int = 11) -> xr.Dataset:
 @pytest.fixture(scope="module")
 def raw_collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("coarse") / "raw"
-    return hp.simulate_collect(folder, lines=40, bands=12, columns=9, seed=3, truth=False)
+    return hp.simulate_collect(folder, scene="plan", lines=40, bands=12, columns=9, seed=3, truth=False)
 
 
 def level_of(line: xr.Dataset, **options: Any) -> str:

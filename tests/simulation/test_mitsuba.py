@@ -6,6 +6,7 @@ sky is an environment map there, its sun a disc far away. Its coat is ``plastic`
 diffuse base, light within summed up as here) or, where the size of a glint counts, ``roughplastic`` with the
 GGX alpha of the coat. Three wavelengths are the three channels of its colours, which nothing mixes."""
 
+import functools
 import importlib.util
 import json
 import pickle
@@ -262,21 +263,25 @@ def at_bands(sky: Atmosphere, curve: np.ndarray) -> np.ndarray:
     return np.interp(NM, sky.wavelength, curve)
 
 
-def environment(sky: Atmosphere) -> np.ndarray:
-    # Return the radiance of a sky (row, column, band) as Mitsuba lays it out
-    # Its first and last row are the zenith and the nadir, the centres of its columns halves of a step
-    # clockwise from north. A row lies on the horizon, where light ends.
-    rows, columns = 1025, 2048
-    zenith = np.linspace(0.0, np.pi, rows)[:, None]
+@functools.cache
+def sky_parts() -> tuple[np.ndarray, ...]:
+    # Return the sky functions and the overcast one over a uniform sky (row, column), down to the horizon
+    # The first row is the zenith, the centres of columns are halves of a step clockwise from north. The last
+    # row lies on the horizon, where light ends.
+    rows, columns = 513, 2048
+    zenith = np.linspace(0.0, 0.5 * np.pi, rows)[:, None]
     azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi - np.radians(AZIMUTH)
     cosine = np.cos(zenith) + 0.0 * azimuth
-    above = np.maximum(cosine, 0.0)
     uniform, *clear = functions_towards(ZENITH, np.maximum(cosine, 1e-6), azimuth + 0.0 * zenith)
-    parts = [uniform, 1.5 * above, *clear]
+    return uniform, 1.5 * cosine, *clear
+
+
+def environment(sky: Atmosphere) -> np.ndarray:
+    # Return the radiance of a sky (row, column, band) as Mitsuba lays it out, from the zenith to the nadir
     shares = sky.uniform, sky.overcast_share + 0.0 * sky.sky, *sky.clear_shares
     even = [at_bands(sky, sky.sky * share) / np.pi for share in shares]
-    radiance = sum(part[..., None] * level for part, level in zip(parts, even, strict=True))
-    return np.where(cosine[..., None] > -1e-9, radiance, 0.0).astype(np.float32)
+    radiance = sum(part[..., None] * level for part, level in zip(sky_parts(), even, strict=True))
+    return np.pad(radiance, ((0, 512), (0, 0), (0, 0))).astype(np.float32)
 
 
 Window = tuple[tuple[int, int], int]
