@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import multiprocessing
 import os
@@ -12,8 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import dask
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+from hyperpaint.simulation import flight
 
 # one profile for all property tests: how fast the machine is today fails none of them, and fixtures of a test
 # are not changed by its examples; HYPERPAINT_EXAMPLES=250 searches for longer
@@ -57,6 +61,23 @@ def shared_data() -> Path:
     return SHARED_DATA
 
 
+@pytest.fixture(scope="session", autouse=True)
+def equal_flights_share_scene_and_sky() -> Iterator[None]:
+    """Make car parks and skies of simulated flights with equal settings once; no flight changes them."""
+    plain = flight.sky_irradiance
+
+    @functools.lru_cache(64)
+    def of_bytes(sky: str, sun_zenith: float, grid: bytes) -> Any:
+        light = plain(sky, sun_zenith, np.frombuffer(grid))
+        light.setflags(write=False)
+        return light
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flight, "car_park", functools.lru_cache(8)(flight.car_park))
+        patch.setattr(flight, "sky_irradiance", lambda *key: of_bytes(*key[:2], key[2].tobytes()))
+        yield
+
+
 # processes import the package for seconds, so all tests of a session share two of them
 
 
@@ -78,6 +99,18 @@ def two_workers() -> Iterator[Any]:
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
+
+
+@pytest.fixture(scope="session")
+def scheduler_of_lines(two_workers: Any) -> Callable[[int], Any]:
+    """Return the scheduler for lines of a chunk: threads for 1, two processes for 7, else none."""
+
+    def chosen(chunk_lines: int) -> Any:
+        if chunk_lines == 7:
+            return two_workers.as_current()
+        return dask.config.set(scheduler="threads" if chunk_lines == 1 else "synchronous")
+
+    return chosen
 
 
 @contextlib.contextmanager
