@@ -205,7 +205,10 @@ JUDGING = SimpleNamespace(
     unseen_change=3.0,
     # Change with lean relative to a solid body, in direct light, above which a reason names flakes [1].
     max_solid_gain=3.0,
-    min_direct=0.5,  # Minimum direct share of the light for that reason [1].
+    min_direct=0.5,  # Minimum direct share of the light for that reason, and for shade to be told [1].
+    # Cosine of the spectral angle to the light of the sky above which a piece may lie in shade.
+    sky_cosine=float(np.cos(np.radians(5.0))),
+    white_from_nm=430.0,  # Wavelength below which white pigments absorb [nm].
     # Minimum difference between paint and windows, relative to the paint, that distinguishes them [1].
     min_window_contrast=0.25,
     min_window_step=0.0025,  # The same in reflectance [1].
@@ -334,6 +337,8 @@ FINISHES = SimpleNamespace(
     # Maximum change of a solid roof in any direction, with the sun within `solid_zenith_deg`: flakes change
     # by more than 2 there, and white pearl by 0.7 [1/rad].
     max_solid_change=0.45,
+    # Maximum mean reflectance for this rule: white pearl may change as little as white solid paint [1].
+    max_solid_level=0.5,
     # Range of zenith angles for this rule [degree]: nearer the zenith a lobe may peak at the level position.
     solid_zenith_deg=(20.0, 32.0),
     # Grey share of the difference between the bright and the dark part of a coloured roof [1]: maximum for
@@ -1011,7 +1016,8 @@ class Roof(NamedTuple):
     complete: bool  #: Whether it lies between two windows with paint beyond both.
     sided: bool  #: Whether a window at its end has a bonnet beyond, and side windows run along it.
     window_level: float  #: Median mean reflectance of the windows at its ends [1].
-    is_whole: bool = True  #: Whether it has side windows, which bonnets lack, and no sunroof beside it.
+    #: Whether it has side windows, which bonnets lack, no sunroof beside it, and all of its length is seen.
+    is_whole: bool = True
 
 
 class NoRoof(NamedTuple):
@@ -1117,6 +1123,11 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -
             car.centre + (along - 0.5 * car.length) * car.axis + 0.5 * car.width * centre * _aside(car)
         )
         is_between = len(long) == 2 or (has_bonnet and sided(run) > ROOFS.sided)
+        # the roof of a pickup, or a part of one behind a glass roof, ends at one window, too, and may slope
+        share = run.length / car.length
+        is_long = share > (ROOFS.max_bonnet if sided(run) > ROOFS.surely_sided else ROOFS.min_van_roof)
+        is_whole = sided(run) > ROOFS.van_sided if len(windows) == 2 else is_long or car.cut
+        is_whole = is_whole and unsure <= ROOFS.unsure * car.length
         of_windows = np.logical_or.reduce([tracks.within(window) for window in windows])
         of_windows &= glass & (np.abs(across) < ROOFS.middle)
         best = Roof(
@@ -1129,7 +1140,7 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -
             1 < number < len(runs) - 2 and is_between,
             has_bonnet and sided(run) > ROOFS.surely_sided,
             float(np.median(level[of_windows])) if of_windows.any() else np.nan,
-            unsure <= ROOFS.unsure * car.length and (len(windows) < 2 or sided(run) > ROOFS.van_sided),
+            is_whole,
         )
     if cabin is not None and not (best is not None and (best.complete or best.sided)):
         return cabin
@@ -1428,8 +1439,8 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level, l
         verdict.objections.append(f"{text}, expected at most {allowed:.1%}; {advice}")
 
 
-def judge_pixels(verdict: Verdict, limits: Limits) -> None:
-    # Add the measures and the score to a verdict; object to too few pixels, and to mixed colours.
+def judge_pixels(verdict: Verdict, picture: Picture, limits: Limits) -> None:
+    # Add the measures and the score to a verdict; object to too few pixels, to mixed colours, and to shade.
     measures = verdict.measures
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
     excluded = f" (excluded: {lost})" if lost else ""
@@ -1441,6 +1452,15 @@ def judge_pixels(verdict: Verdict, limits: Limits) -> None:
     verdict.reasons.append(f"{measures.pixels} pixels{excluded}")
     if measures.angle > limits["angle"]:
         verdict.objections.append(f"not homogeneous: spectra differ by {measures.angle:.1f} degrees")
+    # white, grey and black paint in the shade of a wall has the colour of the sky; no edge of the shade shows
+    # where it covers a whole car
+    beyond = picture.model.channel_wavelength > JUDGING.white_from_nm
+    sky_light = picture.model.diffuse_fraction[beyond]
+    is_shaded = _cosine(measures.spectrum[beyond], sky_light) > JUDGING.sky_cosine
+    if picture.direct_share > JUDGING.min_direct and is_shaded:
+        verdict.objections.append(
+            "it has the colour of the light of the sky: it may lie in shade; draw a region by hand"
+        )
     verdict.reasons.append(
         f"homogeneous to {measures.angle:.1f} degrees, brightness to {measures.spread:.1%}; "
         f"glint {measures.glint:.3f}, light of neighbours {measures.adjacency:.3f}"
@@ -1630,7 +1650,11 @@ def judge_finish(
     ):
         verdict.finish = "metallic"
         verdict.reasons.append(f"metallic: {changes}, that of solid paint by {np.radians(solid):.1%}")
-    elif low <= zenith <= high and level.lean_change < FINISHES.max_solid_change:
+    elif (
+        low <= zenith <= high
+        and level.lean_change < FINISHES.max_solid_change
+        and float(spectrum.mean()) < FINISHES.max_solid_level
+    ):
         verdict.finish = "solid"
         verdict.reasons.append(f"solid: {changes}; flakes so near the sun's mirror image change more")
     elif difference is not None and spectrum.std() > FINISHES.min_colour * spectrum.mean():
@@ -1887,7 +1911,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     offset = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     level = level._replace(sd=float(np.hypot(level.sd, offset)))
     verdict = Verdict(piece, measures, "roof", reasons=reasons)
-    judge_pixels(verdict, limits)
+    judge_pixels(verdict, picture, limits)
     judge_level(verdict, picture, rake, level, limits)
     judge_finish(verdict, picture, level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
@@ -1928,7 +1952,7 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
             "region by hand"
         )
     verdict.reasons.append("part of a car with windows across it and along it")
-    judge_pixels(verdict, limits)
+    judge_pixels(verdict, picture, limits)
     assumed = Level(along_change=JUDGING.unseen_change * picture.direct_share, is_measured=False)
     judge_level(verdict, picture, JUDGING.panel_deg, assumed, limits)
     if measures.pixels:
@@ -2101,7 +2125,8 @@ def propose_regions(
     * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
       degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
       crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. A roof
-      without side windows may be a bonnet; it and a strip beside a sunroof lean by 2 degrees more. A third
+      without side windows may be a bonnet; it, a strip beside a sunroof, and a short roof behind one window,
+      such as a pickup's, lean by 2 degrees more. A third
       of the glint in its pixels, and the sky that the coat mirrors to the camera, are uncertain, too. A
       region is refused if 1.96 times the result exceeds ``max_level_u``, near the lobe of flakes 3/4 of it.
       The property ``level_terms`` holds the contributions, and ``level_uncertainty`` their sum without the
@@ -2112,13 +2137,16 @@ def propose_regions(
       shadow beside the car shows free sun, too.
     * ``finish`` is "metallic" where its light changes with lean more than for any solid paint, or where the
       change is grey on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees from the
-      zenith and almost nothing changes, or where coloured paint changes as a solid paint does, under a sun up
-      to 45 degrees, and the change has its own colour. Else it is "unknown": far from the sun's mirror image
-      flakes look like solid paint. A signature of paint with flakes holds for this sun and view only.
+      zenith and almost nothing changes on paint that is not white, or where coloured paint changes as a solid
+      paint does, under a sun up to 45 degrees, and the change has its own colour. Else it is "unknown": far
+      from the sun's mirror image flakes look like solid paint. A signature of paint with flakes holds for
+      this sun and view only.
     * Another part of a car may lean by 7 degrees or more, and is used only where the car's roof is certain
       but has no usable pixels, and the part's level is certain enough. Pixels without glint, shadow or light
       from coloured neighbours are used, with a brightness within 3 % of the part's median. Its colour and
       brightness must agree with the roof, and differ from the ground.
+    * Paint within 5 degrees of the colour of the light of the sky is refused: it may lie in the shade of a
+      wall, which covers a whole car without an edge.
     * Black paint is distinguished from windows by still darker windows, and from cast shadows by those of the
       scene model. A black roof lies between windows with paint beyond both, or has a bonnet before its
       windscreen and windows along it. Else it is the middle of the side windows, which are darker as they

@@ -100,10 +100,15 @@ def test_difference__needs_pixels(models: dict[float, SceneModel]) -> None:
         ("unknown", {"share": 0.05, "low": 0.06, "along": 3.0}),
         (
             "solid",
-            {"zenith": 25.0, "across": 0.9, "along": 0.0},
+            {"zenith": 25.0, "across": 0.9, "along": 0.0, "level": 0.45},
         ),  # flakes would change by more near their lobe
-        ("unknown", {"zenith": 25.0, "across": 1.3, "along": 0.0}),
-        ("unknown", {"zenith": 15.0, "across": 0.5, "along": 0.0}),  # a lobe may have its peak on the roof
+        # but those of white pearl
+        ("unknown", {"zenith": 25.0, "across": 0.9, "along": 0.0, "level": 0.55}),
+        ("unknown", {"zenith": 25.0, "across": 1.3, "along": 0.0, "level": 0.45}),
+        (
+            "unknown",
+            {"zenith": 15.0, "across": 0.5, "along": 0.0, "level": 0.45},
+        ),  # a lobe may have its peak on the roof
         ("unknown", {"zenith": 25.0, "along": 9.0}),  # the gloss of a rough coat changes as much along a roof
         ("metallic", {"zenith": 25.0, "across": 8.0, "along": 8.0}),
         ("unknown", {"zenith": 70.0, "across": 9.0}),  # a roof shades itself

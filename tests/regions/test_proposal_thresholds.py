@@ -299,8 +299,28 @@ def test_pixels_of_roofs__are_near_the_level_where_enough_are(
 def test_score__halves_where_each_of_its_measures_does() -> None:
     # Expected: 100 of 200 pixels, and an angle of 2 degrees, halve it; three penalties of 1 divide it by 4
     verdict = verdict_of(0.3, pixels=100, angle=2.0, adjacency=0.01, glint=0.02, spread=0.03)
-    judge_pixels(verdict, LIMITS)
+    judge_pixels(verdict, picture_of(), LIMITS)
     assert verdict.score == pytest.approx(0.5 * 0.5 / 4.0)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "direct", "is_refused"),
+    [(0.0, 0.8, True), (4.0, 0.8, True), (6.0, 0.8, False), (0.0, 0.4, False)],
+)
+def test_paint_in_the_colour_of_the_sky__may_lie_in_shade(
+    degrees: float, direct: float, is_refused: bool
+) -> None:
+    # Expected: refused within 5 degrees of it from 430 nm on, where half of the light is direct
+    sky = (1.0 - direct) * np.linspace(1.6, 0.4, 24)
+    across = FLAT - (FLAT[1:] @ sky[1:]) / (sky[1:] @ sky[1:]) * sky
+    angle = np.radians(degrees)
+    spectrum = np.cos(angle) * sky / np.linalg.norm(sky[1:])
+    spectrum += np.sin(angle) * across / np.linalg.norm(across[1:])
+    spectrum[0] = 0.0
+    verdict = verdict_of(0.3)
+    verdict.measures = verdict.measures._replace(spectrum=spectrum, angle=0.0, adjacency=0.0, spread=0.0)
+    judge_pixels(verdict, picture_of(diffuse=sky), LIMITS)
+    assert any("shade" in text for text in verdict.objections) == is_refused
 
 
 # --- the level place, and the axis -------------------------------------------------------------------------

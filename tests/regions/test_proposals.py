@@ -202,6 +202,18 @@ def test_roof__is_found_by_its_windows(windows: tuple[tuple[int, int], ...]) -> 
     assert across.min() >= 30 + 42
 
 
+def test_short_roof_behind_one_window__may_slope() -> None:
+    # Rationale: the roof of a pickup ends at its bed, and roofs of some slope
+    # Expected: its lean is less certain than that of a roof between windows, or of a long one
+    whole, long, short = (
+        propose(line)[0].properties["lean"]
+        for line in (parked(), parked(windows=((28, 42),)), parked(length=85, windows=((44, 58),)))
+    )
+    assert whole < 1.2
+    assert long < 1.2
+    assert short > 2.0
+
+
 def test_roof__is_taken_where_it_is_level() -> None:
     # Rationale: a crowned roof leans towards its ends, under this sun by 1 % of its light in two pixels
     # Expected: the signature is that of its middle, although all of the roof is free of glint and shadow
