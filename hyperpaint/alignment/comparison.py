@@ -187,8 +187,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     used_bands = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used_bands], np.ones(cube.sizes[ALONG_TRACK]), progress)
     depth = np.array([oxygen_depth(wavelengths[used_bands, x], mean[:, x]) for x in range(mean.shape[1])])
-    residual = xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual")
-    return residual.assign_attrs(
+    return xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual").assign_attrs(
         units="1", long_name="Depth of the oxygen A band left in reflectance; negative where overcorrected"
     )
 
@@ -475,21 +474,6 @@ def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
     is_incomplete = (np.abs(matching.weights[..., is_missing]) > 1e-6).any(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where((matched > 0.0) & ~is_incomplete, np.log(matched), np.nan))
-
-
-def responses_table(
-    spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float], widths: Floats
-) -> tuple[Floats, Floats, Floats]:
-    # Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
-    #
-    # Widths are relative to the declared ones of the spectrometer; otherwise as `table_of_bands`. The third
-    # result are the weights (band, channel) of the channels at the middle shift and the declared width.
-    shifts = _shift_nodes(limits)
-    spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
-    operators = [_operator(widened, imager, shifts) for widened in spectrometers]
-    weights = operators[int(np.abs(widths - 1.0).argmin())].weights[len(shifts) // 2]
-    logs = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
-    return np.array(shifts), logs, weights
 
 
 def _shift_nodes(limits: tuple[float, float]) -> tuple[float, ...]:
@@ -1319,7 +1303,13 @@ def _window_fit(
     )
     nearby_channels, spectrometer = channels_near(declared.light, bands, limits, widths=8.0)
     widths = np.asarray(rules.widths)
-    nodes, logs, weights = responses_table(spectrometer, bands, light[nearby_channels], limits, widths)
+    # logarithm (shift, width, band) of the light matched to the bands, by trial shifts and widths, as in
+    # `table_of_bands`; weights (band, channel) of the channels at the middle shift and the declared width
+    nodes = _shift_nodes(limits)
+    spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
+    operators = [_operator(widened, bands, nodes) for widened in spectrometers]
+    weights = operators[int(np.abs(widths - 1.0).argmin())].weights[len(nodes) // 2]
+    logs = np.stack([_log_matched(matching, light[nearby_channels]) for matching in operators], axis=1)
     is_covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
     if is_covered.sum() < rules.degree + 7:
         return None
@@ -1336,7 +1326,7 @@ def _window_fit(
         basis=basis[0],
         slopes=slopes[0],
         variance=variance_of_responses(bands)[is_covered],
-        nodes=nodes,
+        nodes=np.array(nodes),
         widths=widths,
         light=logs[:, :, is_covered],
         noise=by_channel,

@@ -1042,20 +1042,6 @@ def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) 
     return coefficients, tukey > 0
 
 
-def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
-    # Return the width of every band [nm] by a robust fit to widths of steps, constant beyond them.
-    #
-    # ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
-    # ``at`` (band,) are the wavelengths of the result; all in nm.
-    low, high = float(wavelength.min()), float(wavelength.max())
-    scale = max(high - low, 1.0)
-    degree = max(min(degree, len(wavelength) - 2), 0)
-    terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
-    prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
-    coefficients, _ = _robust_fit(terms, width, prior / prior.mean(), tolerance=0.0)
-    return np.asarray(chebyshev.chebval(2.0 * (np.clip(at, low, high) - low) / scale - 1.0, coefficients))
-
-
 _MIN_BRIGHT_SHARE = 0.12  # share of a lamp line's height above which a dead element is visible
 _MIN_DEVIATION_SHARE = 0.5  # deviation of a dead element, as a share of its lamp line
 MIN_BIN_SAMPLES = 20
@@ -1246,12 +1232,17 @@ def band_widths(
     spacing = wavelength_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
     widths = np.where(is_placed, lamp_lines.camera_width * spacing, np.nan)[steps]
     uncertainties = np.where(is_placed, lamp_lines.camera_width_u * spacing, np.nan)[steps]
-    return fit_width(
-        lab.wavelength[steps],
-        np.nanmedian(widths, axis=1),
-        np.nanmedian(uncertainties, axis=1) / np.sqrt(is_placed[steps].sum(axis=1)),
-        wavelength_map.at(np.arange(lab.shape[1]), lab.shape[2] // 2),
-    )
+    # medians over the columns, (step,)
+    width = np.nanmedian(widths, axis=1)
+    width_u = np.nanmedian(uncertainties, axis=1) / np.sqrt(is_placed[steps].sum(axis=1))
+    # robust fit of a parabola, or less, to the steps; constant beyond them
+    low, high = float(lab.wavelength[steps].min()), float(lab.wavelength[steps].max())
+    scale, degree = max(high - low, 1.0), max(min(2, steps.size - 2), 0)
+    terms = chebyshev.chebvander(2.0 * (lab.wavelength[steps] - low) / scale - 1.0, degree)
+    prior = 1.0 / (width_u**2 + max(float(np.median(width_u)), 1e-9) ** 2)
+    coefficients, _ = _robust_fit(np.asarray(terms, np.float64), width, prior / prior.mean(), tolerance=0.0)
+    at = np.clip(wavelength_map.at(np.arange(lab.shape[1]), lab.shape[2] // 2), low, high)
+    return np.asarray(chebyshev.chebval(2.0 * (at - low) / scale - 1.0, coefficients))
 
 
 def at_steps(lab: LabSweep, wavelength_map: WavelengthMap, values: Floats) -> Floats:

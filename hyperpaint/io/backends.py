@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -77,6 +78,8 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
     # Shared part of the engines of field spectrometers: one file is one spectrum.
     open_dataset_parameters: ClassVar[tuple[str, ...]] = ("filename_or_obj", "drop_variables", "quantity")
     suffix: ClassVar[str]
+    #: Module, and function in it that opens such files; see there for ``quantity`` and the errors.
+    opener: ClassVar[tuple[str, str]]
     #: Regular expression that the first bytes of a file match.
     beginning: ClassVar[bytes]
 
@@ -86,14 +89,6 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
         path = Path(os.fsdecode(filename_or_obj))
         return path.suffix.lower() == self.suffix and bool(re.match(self.beginning, _first_bytes(path, 120)))
 
-
-class AsdBackendEntrypoint(_SpectrometerEntrypoint):
-    # Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
-    #
-    # See `hyperpaint.open_asd` for the dataset, for many files at once and for all options.
-    description: ClassVar[str] = "ASD field spectrometers (.asd) through hyperpaint"
-    suffix, beginning = ".asd", rb"ASD|asd|as[2-8]"
-
     def open_dataset(
         self,
         filename_or_obj: Any,
@@ -101,10 +96,18 @@ class AsdBackendEntrypoint(_SpectrometerEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         quantity: str | None = None,
     ) -> xr.Dataset:
-        # Open one spectrum; see `hyperpaint.open_asd` for ``quantity`` and the errors.
-        from .spectrometers.asd import open_asd
+        module, name = self.opener
+        open_file = getattr(import_module(module, __package__), name)
+        return _without(open_file(filename_or_obj, quantity), drop_variables)
 
-        return _without(open_asd(filename_or_obj, quantity), drop_variables)
+
+class AsdBackendEntrypoint(_SpectrometerEntrypoint):
+    # Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
+    #
+    # See `hyperpaint.open_asd` for the dataset, for many files at once and for all options.
+    description: ClassVar[str] = "ASD field spectrometers (.asd) through hyperpaint"
+    suffix, opener = ".asd", (".spectrometers.asd", "open_asd")
+    beginning = rb"ASD|asd|as[2-8]"
 
 
 class SvcBackendEntrypoint(_SpectrometerEntrypoint):
@@ -112,19 +115,8 @@ class SvcBackendEntrypoint(_SpectrometerEntrypoint):
     #
     # See `hyperpaint.open_svc` for the dataset, for many files at once and for all options.
     description: ClassVar[str] = "SVC field spectrometers (.sig) through hyperpaint"
-    suffix, beginning = ".sig", rb"(?i)(\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista"
-
-    def open_dataset(
-        self,
-        filename_or_obj: Any,
-        *,
-        drop_variables: str | Iterable[str] | None = None,
-        quantity: str | None = None,
-    ) -> xr.Dataset:
-        # Open one spectrum; see `hyperpaint.open_svc` for ``quantity`` and the errors.
-        from .spectrometers.spectrum_texts import open_svc
-
-        return _without(open_svc(filename_or_obj, quantity), drop_variables)
+    suffix, opener = ".sig", (".spectrometers.spectrum_texts", "open_svc")
+    beginning = rb"(?i)(\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista"
 
 
 def _without(dataset: xr.Dataset, drop_variables: str | Iterable[str] | None) -> xr.Dataset:

@@ -826,7 +826,18 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
         paint = int(counts.argmax())
         share = counts[paint] / along.size
         # the region is represented by its most frequent paint, and so is every copy
-        copy_shares = _copy_shares(detected_paint, len(names), in_region, along, across)
+        down, right = along - along.min(), across - across.min()
+        height, width = down.max() + 1, right.max() + 1
+        # share of the most frequent paint in copies of the outline outside all regions (copy,)
+        copy_shares = np.array(
+            [
+                _counts(detected_paint[down + top, right + left], len(names)).max() / along.size
+                for top in range(0, detected_paint.shape[0] - height + 1, height)
+                for left in range(0, detected_paint.shape[1] - width + 1, width)
+                if not in_region[down + top, right + left].any()
+            ],
+            np.float64,
+        )
         p = (1 + int((copy_shares >= share).sum())) / (1 + copy_shares.size)
         rows.append((along.size, share, names[paint] if counts[paint] else "", p, copy_shares.size))
     columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
@@ -843,16 +854,3 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
 def _counts(detected_paint: Array, paints: int) -> Ints:
     # Number of pixels of each paint (paint,); -1 is no paint
     return np.bincount(detected_paint[detected_paint >= 0], minlength=paints)
-
-
-def _copy_shares(detected_paint: Array, paints: int, in_region: Bools, along: Ints, across: Ints) -> Floats:
-    # Share of the most frequent paint in copies of an outline outside all regions (copy,)
-    along, across = along - along.min(), across - across.min()
-    lines, columns = along.max() + 1, across.max() + 1
-    shares = [
-        _counts(detected_paint[along + top, across + left], paints).max() / along.size
-        for top in range(0, detected_paint.shape[0] - lines + 1, lines)
-        for left in range(0, detected_paint.shape[1] - columns + 1, columns)
-        if not in_region[along + top, across + left].any()
-    ]
-    return np.array(shares, np.float64)

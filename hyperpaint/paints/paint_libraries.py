@@ -45,7 +45,6 @@ from hyperpaint.base import (
     QUANTILE,
     SIGNATURE,
     Array,
-    Bools,
     Floats,
     Floats32,
     Problems,
@@ -713,7 +712,11 @@ def sample_paints(
     variants = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
     excluded = outside = 0
     for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
-        bands, complete = _complete_members(np.asarray(spectra, np.float64))
+        # bands in which most members have a value (band,), and the members with values in all these bands
+        present = np.asarray(spectra, np.float64)[np.isfinite(spectra).any(axis=1)]
+        is_finite = np.isfinite(present)
+        bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(present.shape[1], np.bool_)
+        complete = present[is_finite[:, bands].all(axis=1)][:, bands]
         if len(complete) < 2:
             problems.add(
                 f"{name!r} has {len(complete)} members with values in all bands",
@@ -789,14 +792,6 @@ def draw_variants(
     low = centre + scale * (inside.min(axis=0) - centre) - blur
     high = centre + scale * (inside.max(axis=0) - centre) + blur
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
-
-
-def _complete_members(spectra: Floats) -> tuple[Bools, Floats]:
-    # Bands in which most members have a value (band,), and the members with values in all these bands
-    spectra = spectra[np.isfinite(spectra).any(axis=1)]
-    is_finite = np.isfinite(spectra)
-    bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(spectra.shape[1], np.bool_)
-    return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
 
 # --- mixtures and shades ---------------------------------------------------------------------------------

@@ -739,20 +739,6 @@ def reflectance(
     >>> print(f"{float(hp.reflectance(line).reflectance[0, 0, 0]):.6f}")
     0.400000
     """
-    return _reflectance(
-        _relative_to_white(dataset, white, tile, dark, irradiance),
-        irradiance,
-        uncertainty=uncertainty,
-        tilt=tilt,
-        panels=several_panels(panel),
-        keep_bits=keep_bits,
-    )
-
-
-def _relative_to_white(
-    dataset: xr.Dataset, white: Any, tile: Any, dark: Any, irradiance: xr.Dataset | None
-) -> xr.Dataset:
-    # Return a line with a white reference, if one is passed, and without its own where a record is passed.
     SchemaError.raise_if(
         white is None and not (tile is None and dark is None),
         "tile= and dark= without white=",
@@ -766,8 +752,18 @@ def _relative_to_white(
         code="option-conflict",
     )
     if white is not None:
-        return white_reference(dataset, white, tile=tile, dark=dark)
-    return dataset if irradiance is None else dataset.drop_vars(WHITE_VARIABLES, errors="ignore")
+        dataset = white_reference(dataset, white, tile=tile, dark=dark)
+    elif irradiance is not None:
+        # the record replaces the white reference of the line
+        dataset = dataset.drop_vars(WHITE_VARIABLES, errors="ignore")
+    return _reflectance(
+        dataset,
+        irradiance,
+        uncertainty=uncertainty,
+        tilt=tilt,
+        panels=several_panels(panel),
+        keep_bits=keep_bits,
+    )
 
 
 @takes_quantities()

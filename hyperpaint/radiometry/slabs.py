@@ -61,15 +61,6 @@ class PanelClosure(NamedTuple):
         return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
-def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
-    # Return the scale of lines (line, band) from logarithms of panels' scales and weights of the lines.
-    # panel by panel, so that the bits do not depend on the grouping of lines
-    total = np.zeros((len(weights), scale.shape[1]))
-    for panel, weight in zip(scale, weights.T, strict=True):
-        total += weight[:, None] * panel
-    return np.exp(total)
-
-
 @dataclass(frozen=True)
 class Plan:
     # Inputs of a slab other than counts.
@@ -125,11 +116,15 @@ class Plan:
     def light(self, start: int, stop: int) -> Array:
         # Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32.
         rate = self.rate[start:stop, None, None, None]
-        scale = (
-            self.scale[None, :, None, None]
-            if self.panel_weights is None
-            else scale_of_lines(self.scale, self.panel_weights[start:stop])[:, :, None, None]
-        )
+        scale = self.scale[None, :, None, None]
+        if self.panel_weights is not None:
+            # of lines (line, band), from logarithms of the panels' scales and weights of the lines; panel by
+            # panel, so that the bits do not depend on the grouping of lines
+            weights = self.panel_weights[start:stop]
+            total = np.zeros((len(weights), self.scale.shape[1]))
+            for panel, weight in zip(self.scale, weights.T, strict=True):
+                total += weight[:, None] * panel
+            scale = np.exp(total)[:, :, None, None]
         if self.series is None or self.lines is None:
             return np.ascontiguousarray(rate * scale, np.float32)
         # in place: copies would take half as long as the kernel

@@ -423,13 +423,6 @@ SKY = {
 }  # fmt: skip
 
 
-def check_sky(**values: float) -> None:
-    # raise unless the facts of a sky accept these values; `SchemaError` lists all faults
-    problems = Problems("the light of the sky cannot be computed", SchemaError)
-    check_values(SKY, values, problems)
-    problems.raise_if_any()
-
-
 def check_wavelengths(wavelength: Floats) -> None:
     # Raise unless wavelengths are a positive, increasing grid.
     #
@@ -449,30 +442,6 @@ def check_wavelengths(wavelength: Floats) -> None:
     )
 
 
-def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
-    # note curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0
-    grid = curves["wavelength"]
-    try:
-        check_wavelengths(grid)
-    except SchemaError as error:
-        problems.extend([error.problem])
-    for name, curve in curves.items():
-        if curve.shape != grid.shape:
-            problems.add(
-                f"{name} has shape {curve.shape}",
-                expected=f"{grid.shape}, as wavelength",
-                code="grid-mismatch",
-            )
-        elif not np.isfinite(curve).all():
-            problems.add(
-                f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite", code="not-finite"
-            )
-        elif (curve < 0.0).any():
-            problems.add(
-                f"{name} falls to {curve.min():.4g}", expected="nothing below 0", code="value-out-of-range"
-            )
-
-
 def built_in_sky(
     wavelength: Floats, sun_zenith: float, *, aerosol: float = 0.10, ozone: float = 0.31, water: float = 1.0
 ) -> tuple[Floats, Floats]:
@@ -482,7 +451,9 @@ def built_in_sky(
     #
     # Raises `SchemaError`: A number is outside its range in `SKY`, or the wavelengths are no grid.
     check_wavelengths(wavelength)
-    check_sky(sun_zenith=sun_zenith, aerosol=aerosol, water=water)
+    problems = Problems("the light of the sky cannot be computed", SchemaError)
+    check_values(SKY, {"sun_zenith": sun_zenith, "aerosol": aerosol, "water": water}, problems)
+    problems.raise_if_any()
     direct, diffuse = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water).irradiance(
         wavelength
     )
@@ -823,7 +794,31 @@ class Atmosphere:
             array.setflags(write=False)  # presets are shared objects
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
-        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES)})
+        # curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0
+        grid = self.wavelength
+        try:
+            check_wavelengths(grid)
+        except SchemaError as error:
+            problems.extend([error.problem])
+        for name in ("wavelength", *_CURVES):
+            curve = getattr(self, name)
+            if curve.shape != grid.shape:
+                problems.add(
+                    f"{name} has shape {curve.shape}",
+                    expected=f"{grid.shape}, as wavelength",
+                    code="grid-mismatch",
+                )
+            elif not np.isfinite(curve).all():
+                problems.add(
+                    f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite",
+                    code="not-finite",
+                )
+            elif (curve < 0.0).any():
+                problems.add(
+                    f"{name} falls to {curve.min():.4g}",
+                    expected="nothing below 0",
+                    code="value-out-of-range",
+                )
         check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
         shares, expected = self.clear_shares, (len(FUNCTIONS) - 1, *np.shape(self.wavelength))
         problems.add_if(

@@ -238,17 +238,6 @@ def is_in_metres(crs: str) -> bool:
     return system.is_projected and not is_mirrored and in_metres
 
 
-def near_turns(x: Floats, middle: float, crs: str) -> Floats:
-    # Return the shift in full turns that brings x nearest to ``middle``.
-    #
-    # Multiples of 360 where x is a longitude [degree]; 0 on a map.
-    return (
-        np.zeros_like(x)
-        if not _crs(crs).is_geographic
-        else np.asarray(360.0 * np.round((middle - x) / 360.0))
-    )
-
-
 # --- frames of lines ---------------------------------------------------------------------------------------
 
 _OFFSETS = np.array(
@@ -945,8 +934,10 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     col, row = x.copy(), y.copy()
     if grid.crs != swath.crs:
         col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
-    # longitudes of rasters begin at -180 or 0, or cross 180
-    col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
+    # longitudes of rasters begin at -180 or 0, or cross 180: full turns bring them near the raster's middle
+    if _crs(grid.crs).is_geographic:
+        middle = grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2
+        col[:, 0] += 360.0 * np.round((middle - col[:, 0]) / 360.0)
     for coefficients, (first_centre, step) in ((col, grid.x), (row, grid.y)):
         coefficients[:, 0] -= first_centre
         coefficients /= step
