@@ -257,7 +257,7 @@ class PaintArrayAccessor(_Accessor):
         return self._array.to_dataset(name=self._name)
 
     def _as_array(self, result: Any) -> Any:
-        """Return the array of a resulting Dataset; pass other results through."""
+        # Return the array of a resulting Dataset; pass other results through.
         return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
 
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.DataArray:

@@ -265,8 +265,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """The bands of a line and their light, in the units of the table."""
-
+    # The bands of a line and their light, in the units of the table.
     time: Array  # (line,): At mid exposure
     # wavelength, fwhm (band,): [nm]
     wavelength: Floats
@@ -569,11 +568,9 @@ class _Ratio:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Shift [nm] and width factor [1] of every column with their covariance, residuals and flags.
-
-    NaN where a column has too few bands.
-    """
-
+    # Shift [nm] and width factor [1] of every column with their covariance, residuals and flags.
+    #
+    # NaN where a column has too few bands.
     value: Floats  # (column, 2): wavelength minus the declared one, and width over the declared one
     covariance: Floats  # (column, 2, 2): of their errors
     shift: Floats  # (column,), declared [nm]

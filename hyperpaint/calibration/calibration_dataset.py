@@ -801,20 +801,19 @@ _RIPPLE_SPREAD = 1.5
 def error_between_lines(
     wavelength: Floats, level: Floats, moved: Floats, source: Floats
 ) -> tuple[float, float] | None:
-    r"""Return the largest error of the gain between lamp lines [1], and its wavelength [nm].
-
-    None where lamp lines are too few.
-
-    ``level`` (step,): responsivity by the lines' areas, any scale, NaN where unknown; ``moved``
-    (step,): distance of the lines from the wavelengths of their light [nm]; ``source`` (step,): variance of
-    the monochromator's line [nm2].
-
-    With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope to
-    the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over some
-    steps, with :math:`s` the constant ``_RIPPLE_SPREAD``. A ripple that the steps resolve has the slope that
-    moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to it. Noise of
-    places counts as such.
-    """
+    # Return the largest error of the gain between lamp lines [1], and its wavelength [nm].
+    #
+    # None where lamp lines are too few.
+    #
+    # ``level`` (step,): responsivity by the lines' areas, any scale, NaN where unknown; ``moved``
+    # (step,): distance of the lines from the wavelengths of their light [nm]; ``source`` (step,): variance of
+    # the monochromator's line [nm2].
+    #
+    # With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope
+    # to the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over
+    # some steps, with :math:`s` the constant ``_RIPPLE_SPREAD``. A ripple that the steps resolve has the
+    # slope that moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to
+    # it. Noise of places counts as such.
     from scipy.interpolate import CubicSpline
 
     usable = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
@@ -876,8 +875,7 @@ def responses_of_lines(lamp_lines: LampLines, lab: LabSweep, spacing: Floats) ->
 
 @dataclass(eq=False)
 class Result:
-    """All results of a calibration, to be assembled into a Dataset."""
-
+    # All results of a calibration, to be assembled into a Dataset.
     lab: LabSweep
     sweep_data: SweepData
     lamp_lines: LampLines

@@ -689,8 +689,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Fits of one step's lines; widths and centres in bands."""
-
+    # Fits of one step's lines; widths and centres in bands.
     #: (line, 4): centre [band], full width at half maximum of the camera [band], area [count], offset
     #: [count]
     parameters: Floats

@@ -491,8 +491,7 @@ def _moved(rows: Floats, window: slice, shift: Floats) -> Floats:
 
 
 class Motion(NamedTuple):
-    """Expected motion from each row to the next; see `RowMotion`."""
-
+    # Expected motion from each row to the next; see `RowMotion`.
     shift: Floats  #: (line - 1, zone): sideways [pixel]
     travel: Floats  #: (line - 1, zone): across the row, forward positive [pixel of the row]
 

@@ -406,8 +406,7 @@ class Tilt:
 
 @dataclass(frozen=True)
 class Smile:
-    """Wavelength shifts of the columns for the kernels: a cubic in every cell between two shifts."""
-
+    # Wavelength shifts of the columns for the kernels: a cubic in every cell between two shifts.
     nodes: Floats  #: (node,): wavelength shifts [nm]; a single 0 where there is no smile
     shift: Array  #: (1 or band, column) float32: position of a column in its cell, 0 to 1
     #: edges (1 or band, run + 1), cells (1 or band, run): runs of neighbouring columns that share a cell

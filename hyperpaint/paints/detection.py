@@ -93,11 +93,10 @@ def scores(spectra: Floats, project: Projection, method: str) -> Floats:
 
 
 def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Array, Array]:
-    r"""Return distance and level of spectra (spectrum, band) for each paint (signature, band).
-
-    A least-squares fit x = a t + m sky + r of paint t and sky gives the level a and the distance
-    \|r\| / \|a t\|, infinite where a is not positive. Both are (spectrum, signature) [1].
-    """
+    # Return distance and level of spectra (spectrum, band) for each paint (signature, band).
+    #
+    # A least-squares fit x = a t + m sky + r of paint t and sky gives the level a and the distance
+    # |r| / |a t|, infinite where a is not positive. Both are (spectrum, signature) [1].
     product, square = spectra @ paints.T, np.einsum("nb,nb->n", spectra, spectra)
     paint_square = full_paint_square = np.einsum("kb,kb->k", paints, paints)
     if sky is not None:

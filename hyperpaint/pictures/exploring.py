@@ -99,8 +99,7 @@ class Picture(NamedTuple):
 
 
 class Spectrum(NamedTuple):
-    """Reflectance of a pixel, or the median over the pixels of a region."""
-
+    # Reflectance of a pixel, or the median over the pixels of a region.
     wavelength: Floats  #: (band,) [nm]: for a pixel the wavelengths of its column
     reflectance: Array  #: (band,) [1]: NaN in bad bands
     spread: Floats | None  #: (2, band): 5 and 95 % of a region's pixels

@@ -524,12 +524,11 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
 def _change_by_attitude(
     factor: Floats, direct_share: Floats | None, context: PanelContext
 ) -> tuple[float, float]:
-    """Return the relative change of a panel's light by its attitude, 0 if insignificant, and its level [1].
-
-    .. math:: F = k (1 + a w)
-
-    fitted to medians of neighbouring bands, with :math:`w` the direct share of the sky that fits best.
-    """
+    # Return the relative change of a panel's light by its attitude, 0 if insignificant, and its level [1].
+    #
+    # F = k (1 + a w)
+    #
+    # fitted to medians of neighbouring bands, with :math:`w` the direct share of the sky that fits best.
     best_residual, change, level = np.inf, 0.0, 1.0
     for direct in () if direct_share is None else direct_share:
         is_usable = context.good & np.isfinite(factor) & np.isfinite(direct)
@@ -813,18 +812,19 @@ def usable_panels(closure: PanelClosure) -> Array:
 
 
 def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats, Floats]:
-    r"""Return logarithms of panels' scales (panel, band), weights (line, panel) and uncertainties (line,).
+    # Return logarithms of panels' scales (panel, band), weights (line, panel) and uncertainties (line,).
+    #
+    # The third is the relative standard uncertainty of the level of every line (line,) [1], without the
+    # uncertainty of the panels' reflectance. All panels of ``closure`` are used; ``time`` is UTC of the
+    # lines, NaT for unknown.
+    #
+    # Ordinary kriging: the error of the record is modelled as a random walk of variance q per second,
+    # observed by panels with errors. Between two panels the weights are linear in time where the panels
+    # differ by more than their errors, and equal elsewhere; before the first and after the last panel its
+    # scale is constant.
+    #
+    # q = \frac{\sum_j \left[(\Delta_j \ln F)^2 - u_j^2 - u_{j+1}^2\right]_+}{\sum_j \Delta_j t}
 
-    The third is the relative standard uncertainty of the level of every line (line,) [1], without the
-    uncertainty of the panels' reflectance. All panels of ``closure`` are used; ``time`` is UTC of the lines,
-    NaT for unknown.
-
-    Ordinary kriging: the error of the record is modelled as a random walk of variance q per second, observed
-    by panels with errors. Between two panels the weights are linear in time where the panels differ by more
-    than their errors, and equal elsewhere; before the first and after the last panel its scale is constant.
-
-    .. math:: q = \frac{\sum_j \left[(\Delta_j \ln F)^2 - u_j^2 - u_{j+1}^2\right]_+}{\sum_j \Delta_j t}
-    """
     # variance of the random walk, from the steps between panels
     scale = _filled(np.log(closure.scale))
     error = np.hypot(np.nanmedian(closure.mean_u, axis=1), RULES.repeatability)

@@ -437,10 +437,9 @@ def _terms(matrix: Any, name: str) -> StrayTerms:
 
 
 def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
-    r"""Return the smear of each band as a share of the sum of all, :math:`\epsilon / (1 + n \epsilon)` [1].
-
-    ``shift_time`` and ``exposure``, of any shape, in seconds.
-    """
+    # Return the smear of each band as a share of the sum of all, :math:`\epsilon / (1 + n \epsilon)` [1].
+    #
+    # ``shift_time`` and ``exposure``, of any shape, in seconds.
     share = shift_time / exposure
     return np.asarray(share / (1.0 + share * bands))
 

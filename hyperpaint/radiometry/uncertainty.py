@@ -669,8 +669,7 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
 
 
 class Form(NamedTuple):
-    """Samples that share an error, dim by dim, in the terms of FIDUCEO and obsarray."""
-
+    # Samples that share an error, dim by dim, in the terms of FIDUCEO and obsarray.
     along_track: str
     band: str
     cross_track: str
@@ -860,13 +859,12 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
 
 
 def rounding_variance(variance: Array) -> Floats:
-    r"""Return the variance that rounding adds to a mean of many counts of one level [count2].
-
-    ``variance``: of the counts before rounding [count2]. The mean of rounded counts is off by
-    :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
-    Quantization Noise, 2008). The result is the mean square over all levels x: 1/12 without noise, 0 above
-    half a count of noise.
-    """
+    # Return the variance that rounding adds to a mean of many counts of one level [count2].
+    #
+    # ``variance``: of the counts before rounding [count2]. The mean of rounded counts is off by
+    # :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
+    # Quantization Noise, 2008). The result is the mean square over all levels x: 1/12 without noise, 0 above
+    # half a count of noise.
     squares = (np.arange(1, MAX_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
     return np.asarray((np.exp(-4.0 * np.pi**2 * squares * variance) / (2.0 * np.pi**2 * squares)).sum(axis=0))
 

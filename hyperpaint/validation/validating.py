@@ -497,8 +497,7 @@ def _without_suffix(name: str) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One spectrum of reflectance with its origin and uncertainty."""
-
+    # One spectrum of reflectance with its origin and uncertainty.
     names: Names  #: Names for pairing, and the origin.
     reference_name: str  #: Name of the reference in the properties of a signature; empty without it.
     instrument: str  #: Make of the instrument.

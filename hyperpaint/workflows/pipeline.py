@@ -392,8 +392,7 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class Record:
-    """File with checksums of the inputs and the files of products, by which the engine knows them again."""
-
+    # File with checksums of the inputs and the files of products, by which the engine knows them again.
     path: Path
     names: Collection[str]  #: Names of all products.
 

@@ -67,8 +67,7 @@ _ROUNDING_CELLS = 1e-6  # overlap of a cell that counts as rounding [cell]
 
 @dataclass(frozen=True)
 class Axes:
-    """Directions of the columns and rows of a grid, and its anchor."""
-
+    # Directions of the columns and rows of a grid, and its anchor.
     #: East and north components of the unit vector to the right. Down is a right angle clockwise from it, so
     #: that a map is never mirrored
     right: tuple[float, float]

@@ -339,8 +339,7 @@ class PanelEntry:
 
 @dataclass(frozen=True)
 class Collect:
-    """Content of a ``collect.toml``; its paths are absolute and exist."""
-
+    # Content of a ``collect.toml``; its paths are absolute and exist.
     path: Path  #: The ``collect.toml``.
     name: str
     flightlines: tuple[FlightlineInputs, ...]  #: Inputs of every cube, without calibration and irradiance.

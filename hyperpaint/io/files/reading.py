@@ -468,8 +468,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
 
 @dataclass(frozen=True)
 class Table:
-    """A text table with one header line, and cells as text."""
-
+    # A text table with one header line, and cells as text.
     name: str  # File name, for messages
     rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
     columns: Mapping[str, list[str]]  # Column name in lower case to cells

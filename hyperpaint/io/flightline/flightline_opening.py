@@ -446,8 +446,7 @@ _ELEMENT = (BAND, CROSS_TRACK)
 
 @dataclass(frozen=True)
 class Dark:
-    """Dark counts of a flight line."""
-
+    # Dark counts of a flight line.
     counts: xr.DataArray  #: ``dark_counts`` ([dark_time,] band, cross_track), float32 [count].
     exposures: tuple[float | None, ...]  #: Exposure time of each reference [s]; None where unknown.
     #: (band, cross_track): Standard deviation over the lines without quantisation noise [count]; None with

@@ -227,8 +227,7 @@ class ClockCorrection:
 
 @dataclass(frozen=True)
 class Clock:
-    """Relation of a clock to UTC, which is interpolated linearly between knots."""
-
+    # Relation of a clock to UTC, which is interpolated linearly between knots.
     stamp: NDArray[np.int64]  # microseconds of the clock, strictly increasing, (knot,)
     utc: NDArray[np.int64]  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
     source: str  # file and column of the knots, for messages

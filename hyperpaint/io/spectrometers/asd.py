@@ -433,8 +433,7 @@ def _text_of_bytes(raw: bytes) -> str:
 
 
 class Export(NamedTuple):
-    """Form of a text of spectra that the software of a spectrometer exports."""
-
+    # Form of a text of spectra that the software of a spectrometer exports.
     instrument: str
     heading: re.Pattern[str]  # of the line of names, from which cells are separated by `_SEPARATORS`
     # Facts in the sentences above: a pattern of the sentence, and its meaning (None takes the first group)
@@ -695,8 +694,7 @@ def _receptor_conflict(content: AsdFile | AsdText | SpectrumText, quantity: str)
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A spectrum of one quantity (such as radiance), from a binary or text file."""
-
+    # A spectrum of one quantity (such as radiance), from a binary or text file.
     source: str  # file name, with the column if the file holds several spectra
     wavelength: Floats  # (wavelength) [nm], float64
     values: Floats

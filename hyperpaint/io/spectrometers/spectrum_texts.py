@@ -1240,8 +1240,7 @@ def utc_of(
 
 
 class Form(NamedTuple):
-    """Form of a text that an instrument or its program writes."""
-
+    # Form of a text that an instrument or its program writes.
     instrument: str
     # Up to the headings, or to the rows where there are none; of the first 16 kB of a file
     begins: re.Pattern[str]
@@ -1370,12 +1369,11 @@ class SpectrumText(NamedTuple):
         return next((quantity for quantity in _PREFERRED if quantity in found), None)
 
     def column(self, quantity: str, units: str | None = None) -> TextColumn:
-        """Return the target's spectrum of a quantity: in SI units, or reflectance as in the file.
-
-        units: Of the values, where the file does not say.
-
-        Raises FormatError: The file holds other quantities alone, or its units are unknown.
-        """
+        # Return the target's spectrum of a quantity: in SI units, or reflectance as in the file.
+        #
+        # units: Of the values, where the file does not say.
+        #
+        # Raises FormatError: The file holds other quantities alone, or its units are unknown.
         targets = [column for column in self.columns if column.scan == "target"]
         known = [column for column in targets if column.quantity == quantity]
         unknown = [column for column in targets if not column.quantity]

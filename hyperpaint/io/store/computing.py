@@ -564,8 +564,7 @@ def exchange(path: Path, target: Path) -> bool:
 
 @dataclass(frozen=True)
 class Target:
-    """Stored array to which blocks are written without zarr's event loop; its pickle is small."""
-
+    # Stored array to which blocks are written without zarr's event loop; its pickle is small.
     place: Location  # Of the group
     name: str
     dims: tuple[str, ...]

@@ -427,8 +427,7 @@ class GroupEntry(NamedTuple):
 
 
 class Write(NamedTuple):
-    """Groups that an unfinished writer will publish."""
-
+    # Groups that an unfinished writer will publish.
     contents: Mapping[str, str]  # By group
     command: str = ""  # Command line of the run, with ``{store}`` for the store's path
 
