@@ -33,8 +33,7 @@ def interface_reflectance(angle: ArrayLike, index: float = COAT_INDEX) -> Floats
     >>> print(interface_reflectance([0.0, 60.0, 75.0]).round(3))
     [0.04  0.089 0.253]
     """
-    cosine = np.cos(np.radians(np.asarray(angle, np.float64)))
-    return _reflectance(np.maximum(cosine, 0.0), index)
+    return _reflectance(np.maximum(np.cos(np.radians(np.asarray(angle, np.float64))), 0.0), index)
 
 
 def _reflectance(cosine: Floats, index: float) -> Floats:
@@ -76,8 +75,7 @@ def sky_reflectance(
     """
     if sun_zenith is None:
         sky = dome()
-        uniform = float((sky.level * _reflectance(sky.cosine, index)).sum())
-        return np.full(np.shape(wavelength), uniform)
+        return np.full(np.shape(wavelength), float((sky.level * _reflectance(sky.cosine, index)).sum()))
     clear, overcast = _mean_reflectances(float(sun_zenith), float(index))
     return np.asarray((1.0 - cloud) * between_nodes(clear, wavelength) + cloud * overcast)
 

@@ -582,13 +582,12 @@ def _responses(
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
     responsivity = imager.get("responsivity")
-    slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm)
     bands = Responses(
         wavelength,
         fwhm,
         imager["srf_shape"],
         spacing=imager.get("spacing"),
-        slope=slope,
+        slope=None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm),
         offset=imager["srf_offset"],
         table=imager["srf"],
     )

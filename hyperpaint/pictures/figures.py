@@ -78,13 +78,12 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
     columns = max(1, min(len(texts), int(room / (max_chars / _CHARS_PER_INCH + 0.6))))
     settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
     # below the label of the axis
-    below_axes = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
     axes.legend(
         handles_by_label.values(),
         texts,
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=below_axes,
+        bbox_transform=axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans),
         borderaxespad=0.0,
         **settings,
     )

@@ -191,8 +191,7 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     zenith = math.radians(min(product.zenith, 89.0)) if math.isfinite(product.zenith) else 0.0
     slope = math.cos(zenith - min(math.radians(RULES.slope_deg), zenith)) / math.cos(zenith)
     slope = min(slope, RULES.most_slope)
-    is_grey = low > RULES.grey * high
-    limit = slope * np.where(is_grey, RULES.most_grey, RULES.most_coloured)
+    limit = slope * np.where(low > RULES.grey * high, RULES.most_grey, RULES.most_coloured)
     share = float(np.mean(high[np.isfinite(high)] > limit[np.isfinite(high)]))
     median, bright = (float(np.nanquantile(level, part)) for part in (0.5, 0.9))
     top = float(np.nanquantile(high, 0.98))
@@ -1058,10 +1057,9 @@ def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Findi
         # cubes may lack their first frame or be renamed: the index is foreign only if a matching one exists
         matching = timing.frame_index.with_name(f"frameIndex_{number}.txt")
         foreign = matching != timing.frame_index and matching.is_file()
-        kind = KINDS["foreign-frame-index" if foreign else "first-frame"]
         findings.append(
             Finding(
-                kind,
+                KINDS["foreign-frame-index" if foreign else "first-frame"],
                 name,
                 f"the first frame of {timing.frame_index.name} for {inputs.path.name} is {first_frame}",
                 str(number),

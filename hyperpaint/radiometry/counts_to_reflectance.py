@@ -936,8 +936,7 @@ def _with_product(
     )
     bits = merged_quality(name, quality, earlier_quality, anew="counts" in dataset.variables)
     attrs = {key: text for key, text in attributes.items() if text}
-    values = label(xr.DataArray(cube, dims=CUBE), name, **attrs)
-    return dataset.assign({name: values, "quality": bits})
+    return dataset.assign({name: label(xr.DataArray(cube, dims=CUBE), name, **attrs), "quality": bits})
 
 
 def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew: bool) -> xr.DataArray:

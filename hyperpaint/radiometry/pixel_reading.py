@@ -133,10 +133,9 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     # every task has complete blocks
     starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])
     sizes = tuple(np.diff(starts).tolist()) or (0,)
-    slabs = cube.data if sizes == cube.data.chunks[0] else cube.data.rechunk({0: sizes})
     means = da.map_blocks(
         _means,
-        slabs,
+        cube.data if sizes == cube.data.chunks[0] else cube.data.rechunk({0: sizes}),
         side=side,
         chunks=(tuple(-(-size // side) for size in sizes), (bands,), (-(-columns // side),)),
         dtype=np.float32,

@@ -471,8 +471,7 @@ def _illuminate(
     )
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
     # channels that were left out of a record were told when it was opened
-    is_told = "irradiance-channels" in light.get(FAULTS_ATTR, "")
-    if is_lost.any() and is_missing.any() and not is_told:
+    if is_lost.any() and is_missing.any() and "irradiance-channels" not in light.get(FAULTS_ATTR, ""):
         warn_user(
             f"irradiance is undefined in {is_missing.sum()} channels, such as "
             f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "

@@ -276,8 +276,7 @@ def calibrated(
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):
         counts = counts.astype(np.float32)
-    starts = np.cumsum((0, *counts.chunks[0][:-1]))
-    plan = planner(counts.shape, counts.dtype.str, starts)
+    plan = planner(counts.shape, counts.dtype.str, np.cumsum((0, *counts.chunks[0][:-1])))
     slabs = da.map_blocks(run_slab, counts, plan, dtype=object, meta=np.empty((0, 0, 0), object), name=None)
     # the order of `run_slab`
     layout = (("lbx", np.float32), ("lx", np.uint16), ("lbx", np.float32), ("lbx", np.float32))

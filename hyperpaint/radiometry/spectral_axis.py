@@ -325,10 +325,9 @@ def smooth(
         dataset.get("good", good).reset_coords(drop=True),
         axis.reset_coords(drop=True),
     )
-    arrays = [each.chunk({BAND: -1}) if each.chunks else each for each in inputs]
     filtered = xr.apply_ufunc(
         _filter,
-        *arrays,
+        *[each.chunk({BAND: -1}) if each.chunks else each for each in inputs],
         kwargs={"is_cube": is_cube, "method": method, "window": window, "order": order},
         input_core_dims=[core, [BAND], [BAND]],
         output_core_dims=[core],
@@ -400,5 +399,4 @@ def _window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Arr
 
 def _polynomial_weights(distance: Array, order: int) -> Array:
     # Return the weights of values at `distance` in their least-squares polynomial at 0.
-    powers = np.vander(distance.astype(np.float64), order + 1, increasing=True)
-    return np.asarray(np.linalg.pinv(powers)[0])
+    return np.asarray(np.linalg.pinv(np.vander(distance.astype(np.float64), order + 1, increasing=True))[0])

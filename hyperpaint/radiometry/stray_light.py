@@ -182,7 +182,6 @@ class Linearity:
                     nodes = self.measured  # evenly spaced: exact
                 table = self.rows_at(nodes).astype(np.float32)
             per_count = (nodes.size - 1) / (nodes[-1] - nodes[0])
-        on_raw = np.bool_(bool(self) and self.on_raw)
         return DetectorModel(
             polynomial,
             table,
@@ -190,7 +189,7 @@ class Linearity:
             np.float32(nodes[0]),
             np.float32(per_count),
             *NO_PEDESTAL[:3],
-            on_raw,
+            np.bool_(bool(self) and self.on_raw),
         )
 
     def check(self, problems: Problems, highest_count: float) -> None:
@@ -386,8 +385,7 @@ def _levels(gain: Array) -> Floats:
     # The parabola is fitted to logarithms by least absolute deviations, in weighted steps, and then by least
     # squares without outliers, so that weak elements do not change it. Elements far off the medians of their
     # band and column are left out of the first fits: many beside one another would bend the parabola.
-    position = np.linspace(-1.0, 1.0, gain.shape[1])
-    terms = position[:, None] ** np.arange(3)
+    terms = np.linspace(-1.0, 1.0, gain.shape[1])[:, None] ** np.arange(3)
     products = (terms[:, :, None] * terms[:, None]).reshape(-1, 9)
     is_finite = np.isfinite(gain)
     values = np.log(np.where(is_finite, gain, 1.0).astype(np.float64))

@@ -417,8 +417,7 @@ def _labelled(
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
     signal, variance = (np.array([(values[i] / b[i]).mean() for i in bins]) for values in (a, v))
-    expected = np.maximum(slope * signal + height, 1e-9)
-    misfit = float(np.max(np.abs(variance / expected - 1.0)))
+    misfit = float(np.max(np.abs(variance / np.maximum(slope * signal + height, 1e-9) - 1.0)))
     misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
     warn_if(
         misfit > MAX_MISFIT + 4.0 * misfit_sd,
@@ -429,12 +428,11 @@ def _labelled(
     noise = float(np.sqrt(max(height - quantisation, 0.0)))
     # at zero noise, only the variance has an uncertainty
     noise_u = float(np.sqrt(covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
-    limit = float(covariance[1, 1]) ** 0.25
     values = {
         "electrons_per_count": 1.0 / slope,
         "read_noise": noise,
         "electrons_per_count_u": float(np.sqrt(covariance[0, 0])) / slope**2,
-        "read_noise_u": float(np.nanmin([noise_u, limit])),
+        "read_noise_u": float(np.nanmin([noise_u, float(covariance[1, 1]) ** 0.25])),
     }
     estimate = xr.Dataset()
     for name, value in values.items():
@@ -981,13 +979,12 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
         "u_random": (mean_random, "Random uncertainty of the mean"),
         "u_systematic": (mean_systematic, "Systematic uncertainty of the mean"),
     }
-    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)}
     result = xr.Dataset(
         {
             k: (other_dims, v.reshape(shape), {"units": "1", "long_name": text})
             for k, (v, text) in estimates.items()
         },
-        coords,
+        {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)},
     )
     if errors is not None:
         result["u_random"].attrs["components"], result["u_systematic"].attrs["components"] = errors.components
@@ -1030,8 +1027,7 @@ def effective_number(plane: Floats) -> float:
     size, axes = [2 * length for length in plane.shape], range(plane.ndim)
 
     def correlate(values: Floats) -> Floats:
-        power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
-        return np.asarray(np.fft.irfftn(power, size, axes))
+        return np.asarray(np.fft.irfftn(np.abs(np.fft.rfftn(values, size, axes)) ** 2, size, axes))
 
     # number and product of pairs by their distance in rings
     pairs, products = np.rint(correlate(is_valid.astype(np.float64))), correlate(departure)

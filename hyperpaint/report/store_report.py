@@ -741,9 +741,8 @@ def _map(line: xr.Dataset) -> Markup:
         np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))
     ]
     names = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
-    coords = line.coords if BAND not in line.dims else line.isel({BAND: bands}).coords
     selection = line.isel({BAND: bands})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(
-        coords
+        line.coords if BAND not in line.dims else line.isel({BAND: bands}).coords
     )
     try:
         orthomap = orthorectify(selection, variables=["reflectance"])

@@ -143,9 +143,8 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
     times = {
         name: xr.Variable(var.dims, var.values.view("M8[ns]"), fastpath=True) for name, var in coded.items()
     }
-    coords = xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
     return dataset.assign({name: times[name] for name in times if name in dataset.data_vars}).assign_coords(
-        coords
+        xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
     )
 
 

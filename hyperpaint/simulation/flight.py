@@ -795,8 +795,7 @@ class RenderedFlight(Flight):
         # mirror reflection, shape (name, wavelength).
         direct, diffuse = (np.interp(wavelength, self.grid, light) for light in self.sky)
         # equal parts of the light of a uniform sky
-        squared_sines = (np.arange(_SKY_RINGS) + 0.5) / _SKY_RINGS
-        rings = np.degrees(np.arcsin(np.sqrt(squared_sines))).tolist()
+        rings = np.degrees(np.arcsin(np.sqrt((np.arange(_SKY_RINGS) + 0.5) / _SKY_RINGS))).tolist()
         factors = []
         for name in names:
             body, paint = spectrum_of(name)(wavelength), paint_spec(name).material()

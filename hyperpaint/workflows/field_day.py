@@ -712,11 +712,10 @@ def _dirsig(day: FieldDayRun) -> str:
 
 def _report(day: FieldDayRun) -> str:
 
-    library = day.library if day.library.exists() and not day.has_failed else None
     page = write_report(
         day.store,
         day.out / "report.html",
-        library=library,
+        library=day.library if day.library.exists() and not day.has_failed else None,
         validation=day.validation,
         overwrite=True,
         progress=day.progress("report"),

@@ -726,8 +726,7 @@ def run(
         def stored(product: xr.Dataset) -> xr.Dataset:
             # only a cube that is computed is left out
             is_left_out = reflectance == "none" and (to == "reflectance" or "counts" in product)
-            left_out = [to] if is_left_out else []
-            return with_layout(product.drop_vars(left_out, errors="ignore"), layout)
+            return with_layout(product.drop_vars([to] if is_left_out else [], errors="ignore"), layout)
 
         def flagged(name: str, _: Any) -> xr.Dataset:
             # the line is surveyed when its turn comes

@@ -1172,14 +1172,13 @@ def run(
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
-        lines = CHUNK_LINES if client is None else CLUSTER_LINES
         traced = trace(
             parts.scene,
             parts.platform,
             parts.suns,
             **arguments_of(SCHEMA["sampling"], file.sampling),
             overcast=parts.overcast,
-            chunk_lines=lines,
+            chunk_lines=CHUNK_LINES if client is None else CLUSTER_LINES,
         )
         meshes = []
         for mesh in file.meshes:

@@ -487,9 +487,8 @@ def mosaic(
     names_of_all = [str(name) for name in first.data_vars if name != "gap"]
     flat = [name for name in names_of_all if first[name].ndim == 2]
     planes = tiles.planes(rule, flat)
-    numbers = np.arange(len(strips), dtype=np.int16)
     flags = {
-        "flag_values": numbers,
+        "flag_values": np.arange(len(strips), dtype=np.int16),
         "flag_meanings": " ".join(strip.name.replace(" ", "_") for strip in strips),
         "empty_value": int(NO_LINE),
     }

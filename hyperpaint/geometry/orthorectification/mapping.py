@@ -1047,14 +1047,13 @@ def orthorectify(
     windows = tile_windows(cells.shape, tile)
     # the areas between the ends of consecutive located lines (pair, 4, 2)
     ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
-    between = np.stack([ends[:-1, 0], ends[:-1, 1], ends[1:, 1], ends[1:, 0]], axis=1)
     plan = Plan(
         cells,
         RULES.index(multi_hit),
         max_stretch * max(1.0, survey.gsd / cells.gsd),
         line.sizes[ALONG_TRACK] - 1,
         _MAX_PARALLAX_PX * survey.across,
-        between,
+        np.stack([ends[:-1, 0], ends[:-1, 1], ends[1:, 1], ends[1:, 0]], axis=1),
     )
     slabs = needed_slabs(survey, cells, lines, windows)
     tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")

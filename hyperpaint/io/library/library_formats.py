@@ -297,8 +297,7 @@ def _columns(properties: dict[str, list[str]]) -> dict[str, Any]:
         key = re.sub(r"\W+", "_", heading.lower()).strip("_")[:60]
         if not key or not key.isidentifier():
             continue
-        row = LIBRARY_VARIABLES.get(key)
-        if key in (SIGNATURE, BAND) or row is not None or key in columns:
+        if key in (SIGNATURE, BAND) or LIBRARY_VARIABLES.get(key) is not None or key in columns:
             key = f"{key}_given"
         values = numbers("" if text.lower() in _MISSING else text for text in texts)
         is_number = values is not None and any(texts)
@@ -1089,8 +1088,7 @@ def _populations(library: xr.Dataset) -> Iterator[_Row]:
     if "member_reflectance" in library.variables:
         members = library["member_reflectance"]
         is_empty = bool(members.sizes["member"]) and not np.isfinite(members.values).any()
-        expected = "spectra of single pixels, or no such variable"
-        yield is_empty, "members", "no member has a value", expected
+        yield is_empty, "members", "no member has a value", "spectra of single pixels, or no such variable"
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values, units = np.asarray(library[name].values, np.float64), library[name].attrs.get("units")

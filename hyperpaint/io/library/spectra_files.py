@@ -379,9 +379,8 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     for name, array in variables.items():
         dtype = LIBRARY_VARIABLES[name].dtype
         kind = np.dtype("object" if dtype == "str" else dtype).kind
-        accepted_kinds = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind)
         problems.add_if(
-            array.dtype.kind not in accepted_kinds,
+            array.dtype.kind not in {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind),
             f"{name!r} is {array.dtype}",
             expected=str(dtype),
             code="type-wrong",

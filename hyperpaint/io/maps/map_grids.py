@@ -1035,12 +1035,11 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
     with open_raster(path, "reading a GeoTIFF") as raster:
         is_placed = raster.crs is not None or not raster.transform.is_identity
         wkt = None if raster.crs is None else raster.crs.to_wkt()
-        grid = Grid(raster.transform.to_gdal(), wkt) if is_placed else None
         return GeotiffHeader(
             raster.shape,
             raster.count,
             raster.dtypes[0],
-            grid,
+            Grid(raster.transform.to_gdal(), wkt) if is_placed else None,
             tuple(text or "" for text in raster.descriptions),
             tuple(raster.overviews(1)),
         )

@@ -1519,9 +1519,8 @@ def open_navigation(
     for path in files:
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
-            gps_time_path = None if gps_time is None else Path(gps_time)
             record = (
-                _headwall_record(path, source, gps_time_path)
+                _headwall_record(path, source, None if gps_time is None else Path(gps_time))
                 if kind == "imu_gps"
                 else read_record(path, kind, columns, source.midnight)
             )

@@ -236,8 +236,7 @@ def _time_of_cell(text: str) -> dt.datetime | LocalStamp:
     # Return the time of a cell; a date whose order another line may decide as it stands.
     # Raises ValueError: The text is not a time, or lies outside `_YEARS`.
     if match := _EPOCH.fullmatch(text):
-        seconds = float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0)
-        return dt.datetime.fromtimestamp(seconds, dt.UTC)
+        return dt.datetime.fromtimestamp(float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0), dt.UTC)
     try:
         time = dt.datetime.fromisoformat(text)
     except ValueError:

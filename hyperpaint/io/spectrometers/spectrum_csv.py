@@ -641,9 +641,8 @@ def read_angular_response(path: str | os.PathLike[str]) -> xr.Dataset:
                 code="wavelength-unordered",
             )
             tables[_ANGULAR[name]].append(table[:, 2:])
-    counts = {len(azimuths), *map(len, tables.values())}
     problems.add_if(
-        not problems and (len(counts) > 1 or not azimuths),
+        not problems and (len({len(azimuths), *map(len, tables.values())}) > 1 or not azimuths),
         f"{len(azimuths)} azimuths, {' and '.join(f'{len(t)} of {n}' for n, t in tables.items())}",
         expected="[AZIMUTH_ANGLE], [COSERROR] and [UNCERTAINTY] of each",
         code="table-missing",

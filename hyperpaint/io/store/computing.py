@@ -576,13 +576,12 @@ class Target:
 
     @classmethod
     def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:
-        dtype = np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<")
         return cls(
             place,
             name,
             tuple(map(str, variable.dims)),
             variable.shape,
-            dtype,
+            np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<"),
             chunks_of(variable),
             fill_value(variable.dtype),
             codec,
