@@ -433,7 +433,13 @@ def table_of_bands(
     # ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
     # highest shift [nm]; ``fewest``: number of bands that must be covered.
     nearby, spectrometer = channels_near(light, bands, limits, widths=4.0)
-    imagers = [_widened(bands, float(factor)) for factor in FACTORS]
+    # bands of other widths; the pixel width of a slit response does not change
+    imagers = [
+        replace(bands, offset=np.asarray(bands.offset) * factor)
+        if bands.shape == "tabulated"
+        else replace(bands, fwhm=bands.fwhm * factor)
+        for factor in map(float, FACTORS)
+    ]
     shifts = _shift_nodes(limits)
     operators = [_operator(spectrometer, imager, shifts) for imager in imagers]
     log = np.stack([_log_matched(matching, spectrum[nearby]) for matching in operators], axis=1)
@@ -481,19 +487,8 @@ def _shift_nodes(limits: tuple[float, float]) -> tuple[float, ...]:
     return tuple((np.arange(first, last + 1) * SHIFT_STEP).tolist())
 
 
-@functools.lru_cache(maxsize=132)
-def _operator(spectrometer: Responses, imager: Responses, shifts: tuple[float, ...]) -> Matching:
-    # Cached for all flight lines of a camera: some windows, at all widths of camera or record.
-    return matching_operator(spectrometer, imager, shifts)
-
-
-def _widened(imager: Responses, factor: float) -> Responses:
-    # Return responses of another width; the pixel width of a slit response does not change.
-    return (
-        replace(imager, offset=np.asarray(imager.offset) * factor)
-        if imager.shape == "tabulated"
-        else replace(imager, fwhm=imager.fwhm * factor)
-    )
+#: Cached for all flight lines of a camera: some windows, at all widths of camera or record.
+_operator = functools.lru_cache(maxsize=132)(matching_operator)
 
 
 def smooth_basis(wavelength: Floats, used: Bools, degree: int) -> tuple[Floats, Floats]:

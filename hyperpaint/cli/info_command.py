@@ -76,7 +76,19 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
-    return dict(_folder(path) if path.is_dir() else _file(path))
+    if not path.is_dir():
+        return dict(_file(path))
+    if is_zarr(path):
+        return dict(_store(path))
+    if any(path.glob("*.spectrum.txt")):
+        return dict(_library(path))
+    with StoreError.instead_of(
+        CollectError,
+        f"{path} is a folder, but neither a Zarr store nor a field day ($whole)",
+        expected=_KNOWN_FORMATS,
+        code="format-unknown",
+    ):
+        return dict(facts_of_field_folder(workflows.field_folder.find_field_files(path)))
 
 
 def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
@@ -253,14 +265,13 @@ def _irradiance_csv(path: Path) -> Facts:
 
 def _spectra_if_any(path: Path) -> Facts:
     # the error on a damaged table says that the file may have another format
-    try:
+    with FormatError.instead_of(
+        FormatError,
+        f"{path}: unknown kind of file (as spectra: $whole)",
+        expected=_KNOWN_FORMATS,
+        code="format-unknown",
+    ):
         yield from _library(path)
-    except FormatError as error:
-        raise FormatError(
-            f"{path}: unknown kind of file (as spectra: {error})",
-            expected=_KNOWN_FORMATS,
-            code="format-unknown",
-        ) from error
 
 
 def _library(path: Path) -> Facts:
@@ -408,22 +419,6 @@ def _collect(path: Path) -> Facts:
     yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"
 
 
-def _folder(path: Path) -> Facts:
-
-    if is_zarr(path):
-        return _store(path)
-    if any(path.glob("*.spectrum.txt")):
-        return _library(path)
-
-    with StoreError.instead_of(
-        CollectError,
-        f"{path} is a folder, but neither a Zarr store nor a field day ($whole)",
-        expected=_KNOWN_FORMATS,
-        code="format-unknown",
-    ):
-        return facts_of_field_folder(workflows.field_folder.find_field_files(path))
-
-
 def _store(path: Path) -> Facts:
 
     groups, (location, _) = list_groups(path), place_of(path)
@@ -517,7 +512,7 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
         except StoreError as error:
             yield f"/{name} NOT READ", error.text(on_command_line=True)
         else:
-            yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
+            yield f"/{name} holds", _facts_text(facts_of_line(line))
 
 
 # --- kinds of files ---

@@ -1730,13 +1730,17 @@ def read_csv_library(path: Path) -> xr.Dataset:
 
 
 def _csv_rows(path: Path) -> Iterator[list[str]]:
-    try:
-        with io.TextIOWrapper(
+    with (
+        FormatError.instead_of(
+            (csv.Error, UnicodeDecodeError, OSError),
+            f"{path.name} cannot be read: $error",
+            code="file-unreadable",
+        ),
+        io.TextIOWrapper(
             open_input(path, "a paint library", _MAX_BYTES), encoding="utf-8-sig", newline=""
-        ) as file:
-            yield from filter(None, csv.reader(file, strict=True))
-    except (csv.Error, UnicodeDecodeError, OSError) as error:
-        raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error
+        ) as file,
+    ):
+        yield from filter(None, csv.reader(file, strict=True))
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
