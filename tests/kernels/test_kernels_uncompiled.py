@@ -1,21 +1,26 @@
-"""The kernel tests once more, as plain Python."""
+"""The tests of kernels and of light transport, small, once more as plain Python."""
 
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from support import ROOT
 
-HERE = Path(__file__).resolve().parent
+TRANSPORT = "simulation/transport/test_transport"
+FILES = (
+    *(
+        f"kernels/test_kernels_{name}.py"
+        for name in ("radiometry", "uncertainty", "gathering", "line_fits", "rays")
+    ),
+    *(f"{TRANSPORT}_{name}.py" for name in ("hierarchy", "surfaces", "paths", "mixing")),
+)
 
 
 @pytest.mark.slow
 def test_kernels_run_without_compilation() -> None:
-    subjects = ("radiometry", "uncertainty", "gathering", "line_fits", "rays")
-    names = [HERE / f"test_kernels_{subject}.py" for subject in subjects]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
+    names = [str(ROOT / "tests" / name) for name in FILES]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *names]
     found = subprocess.run(
         command,
         cwd=ROOT,
