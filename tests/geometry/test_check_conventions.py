@@ -43,14 +43,16 @@ def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
 
 
 @pytest.mark.slow
-def test_twelve_wrong_declarations() -> None:
+def test_ten_wrong_declarations() -> None:
+    # without the signs of roll and pitch, which `test_signs_of_roll_and_pitch` turns
     flight, *_ = flight_of(1)
     fields, checks = {}, {}
-    for name, (fields[name], make) in cases(flight).items():
-        checks[name] = check(flight, make())
+    for name, (field, make) in cases(flight).items():
+        if field not in ("roll_positive", "pitch_positive"):
+            fields[name], checks[name] = field, check(flight, make())
     named = [name for name, field in fields.items() if field in checks[name].wrong]
     undecided = {name for name, field in fields.items() if field in checks[name].undecided}
-    assert len(named) >= 9, named
+    assert len(named) >= 7, named
     assert undecided >= {"rotations in the order ZXY", "magnetic north, declination -11"}
     assert not [(name, checks[name].wrong) for name in fields if set(checks[name].wrong) - {fields[name]}]
 
@@ -71,10 +73,9 @@ def test_signs_of_roll_and_pitch_and_a_platform_that_flies_nose_up() -> None:
     both = check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED))
     assert set(both.wrong) == {"roll_positive", "pitch_positive"}
     # such a pitch in radians looks past the horizon: the last meanings tried are left out
-    for mean_pitch in (1.5, 2.5):
-        nose_up = nav.assign(pitch=nav["pitch"] + mean_pitch)
-        found = check(flight, (line, nose_up, DECLARED), boresight=(0.0, -mean_pitch, 0.0))
-        assert (found.wrong, found["roll_positive"].verdict) == ((), "right")
+    nose_up = nav.assign(pitch=nav["pitch"] + 2.5)
+    found = check(flight, (line, nose_up, DECLARED), boresight=(0.0, -2.5, 0.0))
+    assert (found.wrong, found["roll_positive"].verdict) == ((), "right")
 
 
 def test_a_calm_platform_and_a_picture_of_noise_tell_nothing() -> None:
