@@ -1,5 +1,6 @@
 """What is said of a scene to Mitsuba; none of it needs Mitsuba."""
 
+import functools
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,13 @@ from hyperpaint.simulation.atmosphere import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
 from hyperpaint.simulation.rendering.scene import Scene, plane
 
-NOON = replace(Atmosphere.clear(30.0, 90.0, haze=None), clear_shares=None)  # an even sky
+
+@functools.cache
+def noon() -> Atmosphere:
+    # Return an even sky
+    return replace(Atmosphere.clear(30.0, 90.0, haze=None), clear_shares=None)
+
+
 GREY = Material("grey", "panel_20", "panel")
 
 
@@ -38,7 +45,7 @@ def numbers(text: str) -> np.ndarray:
 
 
 def test_keys_of_a_plane(tmp_path: Path) -> None:
-    described = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[450.0, 650.0], depth=3, samples=7)
+    described = to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[450.0, 650.0], depth=3, samples=7)
     assert set(described) == {"type", "integrator", "sensor", "sun", "sky", "grey", "mesh of grey"}
     assert (described["integrator"]["max_depth"], described["sensor"]["sampler"]["sample_count"]) == (4, 7)
     assert described["mesh of grey"]["surface"] == {"type": "ref", "id": "grey"}
@@ -47,23 +54,27 @@ def test_keys_of_a_plane(tmp_path: Path) -> None:
 
 
 def test_the_sun_shines_from_where_it_stands(tmp_path: Path) -> None:
-    described = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[550.0])
+    described = to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0])
     np.testing.assert_allclose(described["sun"]["direction"], [-0.5, 0.0, -np.sqrt(0.75)], atol=1e-12)
     wavelength, values = (numbers(described["sky"]["radiance"][key]) for key in ("wavelengths", "values"))
     assert wavelength[0] <= 550.0 - 12.0
     assert wavelength[-1] >= 550.0 + 12.0
-    np.testing.assert_allclose(values, np.interp(wavelength, NOON.wavelength, NOON.sky) / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(
+        values, np.interp(wavelength, noon().wavelength, noon().sky) / np.pi, rtol=1e-6
+    )
 
 
 def test_light_that_is_not_there_is_left_out(tmp_path: Path) -> None:
     with pytest.warns(PaintWarning, match="sky-uniform"):
-        described = to_mitsuba(plane(4.0, GREY), NOON.clouded(8.0), tmp_path, wavelength=[550.0])
+        described = to_mitsuba(plane(4.0, GREY), noon().clouded(8.0), tmp_path, wavelength=[550.0])
     assert "sun" not in described
     assert "sky" in described
 
 
 def test_responses_have_the_area_one_and_the_width_asked_for(tmp_path: Path) -> None:
-    film = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[450.0, 650.0], fwhm=8.0)["sensor"]["film"]
+    film = to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[450.0, 650.0], fwhm=8.0)["sensor"][
+        "film"
+    ]
     bands = [film[name] for name in sorted(film) if name.startswith("band_")]
     assert len(bands) == 2
     for centre, band in zip((450.0, 650.0), bands, strict=True):
@@ -77,7 +88,7 @@ def test_what_lies_under_a_coat_is_its_base(tmp_path: Path) -> None:
     smooth = Material("smooth", "panel_20", "paint", Coat(1.4, 0.01))
     rough = Material("rough", "panel_20", "paint", Coat(1.4, 0.1))
     scene = Scene.join([plane(4.0, smooth, instance="a"), plane(4.0, rough, instance="b")], "coats")
-    described = to_mitsuba(scene, NOON, tmp_path, wavelength=[550.0])
+    described = to_mitsuba(scene, noon(), tmp_path, wavelength=[550.0])
     for name, kind in (("smooth", "plastic"), ("rough", "roughplastic")):
         surface = described[name]["surface"]
         assert surface["type"] == kind
@@ -91,14 +102,14 @@ def test_what_lies_under_a_coat_is_its_base(tmp_path: Path) -> None:
 def test_flakes_become_metal_beside_the_base(tmp_path: Path) -> None:
     paint = Material("silver", "silver", "paint", Coat(), Flakes(0.4, 0.3))
     with pytest.warns(PaintWarning, match="flakes-as-metal"):
-        described = to_mitsuba(plane(4.0, paint), NOON, tmp_path, wavelength=[550.0])
+        described = to_mitsuba(plane(4.0, paint), noon(), tmp_path, wavelength=[550.0])
     surface = described["silver"]["surface"]
     assert (surface["weight"], surface["flakes"]["alpha"]) == (0.4, 0.3)
 
 
 def test_paints_and_spectra_are_those_of_relight(tmp_path: Path) -> None:
     options: dict[str, Any] = {"wavelength": [550.0], "spectra": {"mine": ([400.0, 900.0], [0.3, 0.3])}}
-    described = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, paints={"grey": "mine"}, **options)
+    described = to_mitsuba(plane(4.0, GREY), noon(), tmp_path, paints={"grey": "mine"}, **options)
     np.testing.assert_allclose(numbers(described["grey"]["surface"]["reflectance"]["values"]), 0.3)
 
 
@@ -107,7 +118,7 @@ def test_meshes_hold_the_triangles_with_a_normal_at_every_corner(tmp_path: Path)
     corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
     tilted = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
     smooth = Scene.from_arrays(corners, [[0, 1, 2]], Material("red", "red", "paint"), normals=tilted)
-    described = to_mitsuba(Scene.join([lower, smooth], "two"), NOON, tmp_path, wavelength=[550.0])
+    described = to_mitsuba(Scene.join([lower, smooth], "two"), noon(), tmp_path, wavelength=[550.0])
     for name, points, normals in (
         ("grey", lower.vertices[lower.faces].reshape(-1, 3), np.tile([0.0, 0.0, 1.0], (6, 1))),
         ("red", corners, tilted),
@@ -123,11 +134,11 @@ def test_meshes_hold_the_triangles_with_a_normal_at_every_corner(tmp_path: Path)
 def test_all_that_cannot_be_said_is_listed(tmp_path: Path) -> None:
     scene = plane(4.0, Material("paint no. 7", "panel_20", "paint"))
     with pytest.raises(SchemaError) as caught:
-        to_mitsuba(scene, NOON, tmp_path / "new", wavelength=[650.0, 550.0], fwhm=0.0, samples=0)
+        to_mitsuba(scene, noon(), tmp_path / "new", wavelength=[650.0, 550.0], fwhm=0.0, samples=0)
     expect_words(str(caught.value), "wavelength-unordered", "fwhm is 0.0", "samples=0", "name-reserved")
     assert not (tmp_path / "new").exists()
     with pytest.raises(SchemaError, match="spectrum-unknown"):
-        to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[550.0], paints={"grey": "puce"})
+        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], paints={"grey": "puce"})
 
 
 @pytest.mark.parametrize("variant", [None, "scalar_rgb"])
@@ -136,10 +147,10 @@ def test_a_variant_without_spectra_is_refused(
 ) -> None:
     mitsuba.variant = lambda: variant
     with pytest.raises(SchemaError, match="variant-unsuitable"):
-        to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[550.0])
+        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0])
 
 
 def test_without_mitsuba_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with pytest.raises(MissingExtraError, match=r"hyperpaint\[oracles\]"):
-        to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[550.0], camera=FrameCamera())
+        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], camera=FrameCamera())

@@ -382,7 +382,6 @@ class TestTable:
 # --- clouds ---
 
 
-CLEAR = Atmosphere.clear(40.0, wavelength=GRID)
 clear_of = functools.cache(functools.partial(Atmosphere.clear, wavelength=GRID))
 
 
@@ -417,19 +416,21 @@ def test_light_is_split_and_never_negative(oktas: float, zenith: float) -> None:
 
 
 def test_no_clouds_change_nothing() -> None:
-    same = CLEAR.clouded(0)
+    clear = clear_of(40.0)
+    same = clear.clouded(0)
     for name in ("sun", "sky", "extinction", "path_radiance"):
-        assert_allclose(getattr(same, name), getattr(CLEAR, name), rtol=1e-12)
+        assert_allclose(getattr(same, name), getattr(clear, name), rtol=1e-12)
     assert same.overcast_share == 0.0
 
 
 def test_eight_oktas_leave_no_sun_and_a_cie_sky() -> None:
-    overcast = CLEAR.clouded(8)
+    clear = clear_of(40.0)
+    overcast = clear.clouded(8)
     assert (overcast.sun == 0.0).all()
     assert (overcast.overcast_share, overcast.name) == (CIE_OVERCAST_SHARE, "clear, 8 oktas")
     blue, red = np.searchsorted(GRID, [450.0, 700.0])
     assert (
-        overcast.irradiance[blue] / overcast.irradiance[red] > CLEAR.irradiance[blue] / CLEAR.irradiance[red]
+        overcast.irradiance[blue] / overcast.irradiance[red] > clear.irradiance[blue] / clear.irradiance[red]
     )
 
 
@@ -443,11 +444,19 @@ def test_the_two_parts_are_the_cie_overcast_sky() -> None:
 
 
 def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
+    clear = clear_of(40.0)
     overcast = Atmosphere(
-        GRID, CLEAR.sun, CLEAR.sky, CLEAR.extinction, CLEAR.path_radiance, 40.0, 180.0, name="table"
+        GRID,
+        clear.sun,
+        clear.sky,
+        clear.extinction,
+        clear.path_radiance,
+        40.0,
+        180.0,
+        name="table",
     ).clouded(8)
-    light = overcast.sky * 2.0 / (CLEAR.sun + 2.0 * CLEAR.sky)
-    assert_allclose(overcast.path_radiance, CLEAR.path_radiance * light, rtol=1e-12)
+    light = overcast.sky * 2.0 / (clear.sun + 2.0 * clear.sky)
+    assert_allclose(overcast.path_radiance, clear.path_radiance * light, rtol=1e-12)
     dark = Atmosphere(
         GRID,
         0 * GRID,
@@ -463,12 +472,12 @@ def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
 @pytest.mark.parametrize("oktas", [-1, 8.5, np.nan])
 def test_there_are_no_such_oktas(oktas: float) -> None:
     with pytest.raises(SchemaError, match="oktas"):
-        CLEAR.clouded(oktas)
+        clear_of(40.0).clouded(oktas)
 
 
 def test_all_problems_at_once() -> None:
     with pytest.raises(SchemaError, match=r"(?s)oktas.*colour"):
-        CLEAR.clouded(9, colour=-1.0)
+        clear_of(40.0).clouded(9, colour=-1.0)
 
 
 EAST, NORTH = np.meshgrid(np.arange(0.0, 20_000.0, 50.0), np.arange(0.0, 20_000.0, 50.0))
