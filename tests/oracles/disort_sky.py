@@ -6,6 +6,7 @@ mean of the sky are written out anew.
 
 import functools
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline, RectBivariateSpline
@@ -40,16 +41,29 @@ def at(name: str, air: float, aerosol: float, sun: float) -> np.ndarray:
     return np.asarray(CubicSpline(-np.log(tables()["rayleigh"]), values, axis=0)(-np.log(air)))
 
 
+@functools.lru_cache(maxsize=64)
+def scattered(nm: float, sun: float, aerosol: float) -> tuple[Any, ...]:
+    # Return depths of air and aerosol, irradiances, the spline of scattering, albedo and glow of the ground
+    data = tables()
+    air = float(np.exp(CubicSpline(np.log(data["path_wavelength"]), np.log(data["rayleigh"]))(np.log(nm))))
+    particles = aerosol * (nm / 500.0) ** -1.14
+    m = air_mass(sun)
+    direct = np.exp(-(air + particles) * m)
+    diffuse = np.exp(at("diffuse_rural", air, particles, sun)) * -np.expm1(-m * (air / 2 + 0.7 * particles))
+    spline = RectBivariateSpline(
+        data["zenith"], data["azimuth"], at("radiance_rural", air, particles, sun) / 5000.0
+    )
+    albedo = float(at("spherical_albedo_rural", air, particles, sun))
+    glow = CubicSpline(data["zenith"], at("ground_to_sky", air, particles, sun))
+    return air, particles, direct, diffuse, spline, albedo, glow
+
+
 def relative_sky(
     nm: float, sun: float, cosine: np.ndarray, azimuth: np.ndarray, aerosol: float = 0.1, ground: float = 0.2
 ) -> np.ndarray:
     """Return the sky over a uniform one of the same irradiance; azimuths are from the sun [rad]."""
-    data = tables()
-    air = float(np.exp(CubicSpline(np.log(data["path_wavelength"]), np.log(data["rayleigh"]))(np.log(nm))))
-    particles = aerosol * (nm / 500.0) ** -1.14
+    air, particles, direct, diffuse, spline, albedo, glow = scattered(float(nm), float(sun), float(aerosol))
     m, level, depth = air_mass(sun), np.cos(np.radians(sun)), air + particles
-    direct = np.exp(-depth * m)
-    diffuse = np.exp(at("diffuse_rural", air, particles, sun)) * -np.expm1(-m * (air / 2 + 0.7 * particles))
     # once scattered, with the phase functions of Rayleigh (depolarisation 0.0279) and Henyey-Greenstein
     cosine, azimuth = np.broadcast_arrays(cosine, azimuth)
     t = cosine * level + np.sqrt(1.0 - cosine**2) * np.sqrt(1.0 - level**2) * np.cos(azimuth)
@@ -60,14 +74,9 @@ def relative_sky(
     once = (
         once * np.exp(-depth * m) * np.where(path == 0.0, 1.0, -np.expm1(-path) / np.where(path, path, 1.0))
     )
-    spline = RectBivariateSpline(
-        data["zenith"], data["azimuth"], at("radiance_rural", air, particles, sun) / 5000.0
-    )
     zenith = np.degrees(np.arccos(cosine)).clip(0.0, 89.0)
     turned = np.degrees(np.arccos(np.cos(azimuth)))
     radiance = np.exp(spline(zenith, turned, grid=False)) * (once + level * diffuse / np.pi)
-    albedo = float(at("spherical_albedo_rural", air, particles, sun))
-    glow = CubicSpline(data["zenith"], at("ground_to_sky", air, particles, sun))
     radiance = radiance + ground * level * (direct + diffuse) / (1.0 - ground * albedo) * glow(zenith)
     whole = diffuse + (direct + diffuse) * ground * albedo / (1.0 - ground * albedo)
     return np.asarray(radiance * np.pi / (level * whole))
