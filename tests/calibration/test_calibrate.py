@@ -157,7 +157,7 @@ def test_a_beam_is_no_response() -> None:
 
 @pytest.mark.slow
 def test_a_flat_field_brings_what_lines_cannot_see() -> None:
-    sweep = sweep_of(columns=40, nonuniformity=0.01)
+    sweep = sweep_of(bands=136, columns=24, nonuniformity=0.01)
     band = inside(sweep, 2.0)
     flat = flat_field(0.05 / sweep.true_radiance_gain)
     spread = [
@@ -280,7 +280,7 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
 def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them() -> None:
     # By default, by gain and matrix of one calibration, against a camera without wings
-    camera: dict[str, Any] = {"bands": 136, "columns": 24, "nonuniformity": 0.02, "seed": 21}
+    camera: dict[str, Any] = {"bands": 136, "columns": 12, "nonuniformity": 0.02, "seed": 21}
     flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **camera, **EXACT}
 
     def seen(stray: dict[str, float]) -> list[np.ndarray]:
@@ -314,7 +314,7 @@ def test_a_pedestal_is_the_dark_that_is_off(pedestal: float) -> None:
 
 def test_smile_is_found_behind_any_optics() -> None:
     optics = {"psf_across_columns": 2.0, "keystone_columns": 0.6, "stray_light": 0.01}
-    sweep = simulate_sweep(bands=136, columns=40, smile_nm=0.8, **optics)
+    sweep = simulate_sweep(bands=136, columns=20, smile_nm=0.8, **optics)
     assert float(np.abs(hp.calibrate(sweep).wavelength_shift - sweep.true_wavelength_shift).max()) < 0.02
 
 
