@@ -1357,7 +1357,6 @@ def _joint_fit(fits: list[_WindowFit], rules: SimpleNamespace) -> Comparison:
         parameters = np.clip(parameters + np.linalg.solve(matrix, vector), -limits, limits)
         parameters[2] = np.clip(parameters[2], rules.widths[0], rules.widths[-1])
     departures, slopes = _linearised(fits, parameters, rules)
-    covariance = _covariance(fits, departures, slopes, np.diag(prior), rules)
     effects = [
         (
             fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
@@ -1369,7 +1368,7 @@ def _joint_fit(fits: list[_WindowFit], rules: SimpleNamespace) -> Comparison:
         shift=float(parameters[0]),
         tilt=float(parameters[1]),
         width=float(parameters[2]),
-        covariance=covariance,
+        covariance=_covariance(fits, departures, slopes, np.diag(prior), rules),
         residual=_rms(fits, departures),
         residual_declared=_rms(fits, [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]),
         wavelength=np.concatenate([fit.wavelength for fit in fits]),

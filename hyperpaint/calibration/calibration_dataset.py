@@ -261,9 +261,8 @@ def anchor_to_radiance(
     0.05
     """
     one_of(scale, ("element", "common"), "scale")
-    response_inputs = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
-    level = _band_means(calibration, response_inputs, spectrum)
+    level = _band_means(calibration, require(calibration, ["wavelength", "fwhm"], "an anchor"), spectrum)
     signal, exposure = _anchor_signal(frames, calibration)
     first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
     # the sweep gives no wavelengths for unlit columns
@@ -1145,13 +1144,11 @@ class Result:
 
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
-        left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
         electrons_source = "none" if self.electrons_per_count is None else "as stated"
         if lab.electrons_per_count != self.electrons_per_count:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
-        linearity = [*self.linearity.coefficients] or ("table" if self.linearity else "identity")
         # distance of the measured response from the better model, and its effect
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
@@ -1168,7 +1165,7 @@ class Result:
             **self.scale_u,
             "steps": len(lab.wavelength),
             "step_range_nm": [float(lab.wavelength[0]), float(lab.wavelength[-1])],
-            "steps_left_out_nm": left_out,
+            "steps_left_out_nm": [float(w) for w in lab.wavelength[~self.used.any(axis=1)]],
             "bands_without_gain": int((~good).sum()),
             "bad_elements": int(self.bad.sum()),
             "monochromator_fwhm_nm": float(np.median(lab.width)),
@@ -1181,7 +1178,7 @@ class Result:
             "lit_columns": list(self.wavelength_map.lit),
             **self.dark_check,
             "smile_degree": self.wavelength_map.coefficients.shape[1] - 1,
-            "linearity": linearity,
+            "linearity": [*self.linearity.coefficients] or ("table" if self.linearity else "identity"),
             "linearity_on": RAW if self.linearity.on_raw else DARK_SUBTRACTED,
             "noise_source": self.sweep_data.noise_source,
             "electrons_per_count_source": electrons_source,

@@ -526,7 +526,6 @@ def _check_positive(
         )
     if not is_invalid.any():
         return
-    expected = "positive and finite" if high == np.inf else f"above 0 and at most {high:g}"
     steps_text, mend = "", ""
     if STEP in dims:
         steps = np.flatnonzero(is_invalid.any(axis=tuple(range(1, values.ndim))))
@@ -535,7 +534,7 @@ def _check_positive(
         mend = "measure it, or leave these steps out with sweep.isel(step=...)"
     problems.add(
         f"{name!r} is {values[is_invalid].ravel()[0]:g}{steps_text}",
-        expected=expected,
+        expected="positive and finite" if high == np.inf else f"above 0 and at most {high:g}",
         mend=mend,
         code="value-out-of-range",
     )

@@ -129,11 +129,10 @@ def parse_colour(colour: str) -> Floats:
     match = _HEX.fullmatch(COLOURS.get(word, colour.strip().lower()))
     if match is None:
         close = difflib.get_close_matches(word, COLOURS, 1)
-        hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}"
         raise SchemaError(
             f"colour {colour!r:.60} is unknown",
             expected="a name or sRGB such as '#a3222a'",
-            mend=hint,
+            mend=f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}",
             code="colour-unknown",
         )
     return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0

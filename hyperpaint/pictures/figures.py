@@ -76,7 +76,6 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
     texts = [textwrap.fill(label, max(12, int(_CHARS_PER_INCH * (room - 0.4)))) for label in handles_by_label]
     max_chars = max(len(line) for text in texts for line in text.splitlines())
     columns = max(1, min(len(texts), int(room / (max_chars / _CHARS_PER_INCH + 0.6))))
-    settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
     # below the label of the axis
     axes.legend(
         handles_by_label.values(),
@@ -85,7 +84,7 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
         bbox_to_anchor=(0.0, 0.0),
         bbox_transform=axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans),
         borderaxespad=0.0,
-        **settings,
+        **{"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options},
     )
 
 

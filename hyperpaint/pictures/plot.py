@@ -1675,10 +1675,9 @@ def straightening(
             code="line-not-located",
         )
         nm = require(line, ["wavelength"], "a map")["wavelength"].values
-        visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
         # quality tells saturated glint, which is white, from missing pixels, which are black
         orthomap = orthorectify(
-            visible,
+            line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))}),
             grid="north",
             variables=[name for name in ("reflectance", "quality") if name in line.variables],
         )

@@ -939,9 +939,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         # scans that were left out may be of another flight line
         if is_hole or code != "irradiance-scans":
             yield Finding(KINDS[code], RECORD, found, "daylight that changes as the sun and clouds change it")
-    channels = line["irradiance_wavelength"].values.astype(np.float64)
     position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
-    level = light_level(position, spectra, channels, times)
+    level = light_level(position, spectra, line["irradiance_wavelength"].values.astype(np.float64), times)
     share = level.median / level.clear
     if math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share:
         slip = f", {level.slip}" if level.slip else ""

@@ -314,7 +314,6 @@ def smooth(
     is_cube = set(CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array
     core = [BAND, CROSS_TRACK] if is_cube else [BAND]
-    good = xr.DataArray(np.ones(bands, bool), dims=BAND)
     axis = (
         dataset["wavelength"]
         if "wavelength" in dataset.variables and dataset["wavelength"].dims == (BAND,)
@@ -322,7 +321,7 @@ def smooth(
     )
     inputs = (
         source,
-        dataset.get("good", good).reset_coords(drop=True),
+        dataset.get("good", xr.DataArray(np.ones(bands, bool), dims=BAND)).reset_coords(drop=True),
         axis.reset_coords(drop=True),
     )
     filtered = xr.apply_ufunc(

@@ -952,10 +952,9 @@ def write_site(
             file = f"pictures/{len(pictures)}.png"  # the name of a group may be no valid file name
             shown[path], pictures[file] = variables, picture
             short_name = name.rpartition("/")[2]
-            label = name if any(entry["name"] == short_name for entry in lines) else short_name
             # sorted, because xarray lists coordinates in random order
             entry = {
-                "name": label,
+                "name": name if any(entry["name"] == short_name for entry in lines) else short_name,
                 "group": path,
                 "picture": file,
                 "variables": sorted(map(str, variables.variables)),

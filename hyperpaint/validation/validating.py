@@ -570,9 +570,8 @@ class Measured:
         # systematic: readings of a surface differ in level more than in shape. NaN in channels without an
         # uncertainty that other channels have.
         if self.covariance is not None:
-            missing = np.isnan(np.diagonal(self.covariance))
             errors = rng.standard_normal((draws, self.values.size)) @ self._components.T
-            return np.asarray(np.where(missing, np.nan, errors))
+            return np.asarray(np.where(np.isnan(np.diagonal(self.covariance)), np.nan, errors))
         errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:
             errors += self.u_random * rng.standard_normal(errors.shape)
@@ -720,7 +719,6 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     # uncertainty of the subtracted reflectance from that of the index, the largest part for black paint
     normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
     known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
-    systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
 
     note = (
         f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the body "
@@ -729,7 +727,7 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     return reference.times(
         factor,
         values=(reference.values - mirrored) * factor,
-        u_systematic=systematic,
+        u_systematic=factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values),
         covariance=None,  # it lacks the uncertainty of the index
         mirror=EXCLUDED,
         quantity=BODY,

@@ -237,7 +237,6 @@ def _propose(
     # with several lines, names of paints start with the name of the line
     proposals_by_line = {}
     for name, line in lines.items():
-        prefix = "" if len(lines) == 1 else name
         survey = flagged.get(name)
         surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
         # with the model of a survey, only the shared options remain
@@ -246,7 +245,7 @@ def _propose(
             surveyed,
             model,
             flightline=name,
-            name=prefix,
+            name="" if len(lines) == 1 else name,
             **{key: options[key] for key in names if key in options},
         )
     regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))

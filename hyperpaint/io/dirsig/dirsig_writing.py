@@ -268,11 +268,10 @@ class PaintCurves:
         is_outside = low >= measured[1] or high <= measured[0]
         limit = np.inf if self.extrapolate is True else float(self.extrapolate)
         if is_outside or max(measured[0] - low, high - measured[1]) > limit:
-            wanted = f"{low:g} to {high:g} nm"
             advice = "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends"
             raise SchemaError(
                 f"measured {measured[0]:g} to {measured[1]:g} nm",
-                expected=wanted,
+                expected=f"{low:g} to {high:g} nm",
                 mend="leave the paint out, or choose a range within" if is_outside else advice,
                 code="wavelength-uncovered",
             )

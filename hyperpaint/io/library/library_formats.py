@@ -762,9 +762,8 @@ def write_library(
     suffix = path.suffix.lower()
     chosen = _FORMAT_OF_SUFFIX.get(suffix) if format is None else format
     if chosen not in _WRITERS:
-        requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            requested,
+            f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}",
             expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
             code="choice-unknown",
         )

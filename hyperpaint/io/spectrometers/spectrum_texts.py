@@ -461,7 +461,6 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     channels = int(model[1]) if model and is_overlap_preserved else 0
     unit_words = [word.strip().lower() for word in header.get("units", "").split(",")]
     units = tuple(dialect.units.get(word, word) for word in (unit_words * 2)[: max(len(unit_words), 2)])
-    units_text = repr(header["units"][:60]) if "units" in header else "no line 'units='"
     # wavelengths step back where the next detector begins
     starts = (0, *(int(step) + 1 for step in np.flatnonzero(wavelength[1:] <= wavelength[:-1])))
     again = "copy the file again"
@@ -483,7 +482,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         (
             len(units) != 2 or not set(units) <= set(dialect.scale),
             Problem(
-                units_text,
+                repr(header["units"][:60]) if "units" in header else "no line 'units='",
                 expected="units= Radiance, Radiance (or Counts, Irradiance)",
                 code="units-unknown",
             ),
