@@ -39,7 +39,7 @@ def journey(folder: Path) -> list[list[str]]:
     # Return the commands, in their order; every later one reads what an earlier one wrote
     sim, lab = folder / "sim", folder / "swept"
     store, paints = folder / "lot.zarr", folder / "paints.zarr"
-    regions = ["--regions", str(sim / "regions.geojson"), "--keep", "mixed_edge"]
+    regions = ["--regions", str(sim / "regions.geojson"), "--keep", "mixed_edge", "--keep", "shadow"]
     export = ["export", str(paints), "--quiet", "--format"]
     return [
         ["simulate", str(sim), *_FLIGHT.split(), "--quiet"],
