@@ -55,25 +55,25 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
 
     if file_paths := [path for path in paths if not is_zarr(path)]:
         files = find_paths(file_paths, of_folder, ".sig or .asd files, text exports, or a library")
-        datasets += _open_by_kind(files, "reflectance", is_reference=True)
+        datasets += open_spectra(files, is_reference=True)
     return datasets
 
 
-def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
+def open_spectra(files: Sequence[Path], *, is_reference: bool = False) -> list[xr.Dataset]:
     # Open files of field spectrometers, grouped by instrument.
     #
     # files: SVC ``.sig``, ASD binary or text exports, tables in CSV, in any mixture.
-    # quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
+    # is_reference: References are reflectance, may also be libraries, and may differ in wavelengths; other
+    # files have the quantity that they state.
     # Raises FormatError: Files cannot be read, or are of unknown kind; all are named.
-    return _open_by_kind(files, quantity, is_reference=False)
-
-
-def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: bool) -> list[xr.Dataset]:
-    # Open files of spectrometers. References may also be libraries, and may differ in wavelengths.
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Any]] = {open_svc: [], open_asd: [], open_library: []}
-    openers: dict[str, Any] = {"scans": open_svc, "binary": open_asd, "text": open_asd}
-    openers["instrument"] = open_library if quantity in (None, "reflectance") else open_asd
+    openers: dict[str, Any] = {
+        "scans": open_svc,
+        "binary": open_asd,
+        "text": open_asd,
+        "instrument": open_library,
+    }
     for path in files:
         opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
         is_table = path.suffix.lower() == ".csv" or (is_reference and path.suffix.lower() != ".asd")
@@ -92,7 +92,8 @@ def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: 
     datasets: list[xr.Dataset] = []
     for opener, paths in files_by_opener.items():
         # libraries are opened singly; so are references that cannot be opened together
-        batches, options = (paths, ()) if opener is open_library else ([paths] if paths else [], (quantity,))
+        batches = paths if opener is open_library else [paths] if paths else []
+        options = () if opener is open_library else ("reflectance" if is_reference else None,)
         while batches:
             batch, *batches = batches
             try:
