@@ -284,13 +284,12 @@ def styles_of(colours: Array) -> list[dict[str, Any]]:
     return styles
 
 
-def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> Any:
-    # Draw a curve with a rim that is visible on light and dark backgrounds; return its colour
+def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> None:
+    # Draw a curve with a rim that is visible on light and dark backgrounds
     from matplotlib.patheffects import Normal, withStroke
 
     rim = withStroke(linewidth=2.8, foreground=ink_of(axes, 0.45))
     axes.plot(x, y, lw=1.7, label=label, path_effects=[rim, Normal()], **style)
-    return style["color"]
 
 
 # --- paints and regions ------------------------------------------------------------------------------------
@@ -1869,7 +1868,7 @@ def _edges(centres: Array) -> Array:
     return np.concatenate([[2 * centres[0] - inner[0]], inner, [2 * centres[-1] - inner[-1]]])
 
 
-def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
+def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> None:
     columns = np.arange(values.shape[1] + 1) - 0.5
     mesh = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
@@ -1879,7 +1878,6 @@ def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: 
     options = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_GAIN_INCH else {"pad": 0.02}
     axes.figure.colorbar(mesh, ax=axes, label=label, **options)
     axes.set(xlabel="wavelength [nm]", ylabel="cross_track [column]")
-    return mesh
 
 
 def _draw_residuals(axes: Any, values: Values) -> None:
