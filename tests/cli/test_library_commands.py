@@ -300,7 +300,7 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _painted(truth: Path, store: Path) -> hp.Regions:
-    # Return a square of every paint that shows one of four pixels
+    # Return a square of each of four paints that show one of four pixels; each is compared with all references
     known = xr.open_zarr(truth)["surface"]
     surface = known.values[xr.open_zarr(store, group="flightlines/raw_0")["frame"].values]
     made = {}
@@ -312,7 +312,7 @@ def _painted(truth: Path, store: Path) -> hp.Regions:
             y, x = map(int, np.argwhere(windows)[0])
             made[name] = hp.Region(name, [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)], flightline="raw_0")
     assert len(made) >= 4
-    return hp.Regions(tuple(made.values()))
+    return hp.Regions(tuple(made.values())[:4])
 
 
 @pytest.fixture
