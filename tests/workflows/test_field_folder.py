@@ -263,9 +263,13 @@ def folder_day(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder_day, lines=160, bands=16, columns=192, seed=0, clock_offset_s=0.0, samples=4, fleet="solid"
     )
     (folder_day / "collect.toml").rename(folder_day / "author.toml")
-    # four paints, which a library of three is not; each costs its comparison with every reference
+    # four paints, which a library of three is not, and their references: all are compared with all
     regions = folder_day / "regions.geojson"
-    hp.write_regions(hp.Regions(tuple(hp.read_regions(regions))[:4]), regions, overwrite=True)
+    four = hp.Regions(tuple(hp.read_regions(regions))[:4])
+    hp.write_regions(four, regions, overwrite=True)
+    for path in (*folder_day.glob("svc/*"), *folder_day.glob("asd_reflectance/*")):
+        if path.stem not in four.names:
+            path.unlink()
     return folder_day
 
 
