@@ -228,6 +228,7 @@ def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
 @pytest.mark.campaign
+@pytest.mark.timeout(900)  # a gigabyte is processed twice, which takes minutes beside other tests
 def test_a_cube_larger_than_the_address_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert importlib.import_module("campaigns.address_space").show(tmp_path, 1050 * MIB, 1024 * MIB)
     assert "bit-identical" in capsys.readouterr().out
