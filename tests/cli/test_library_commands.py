@@ -300,7 +300,7 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _painted(truth: Path, store: Path) -> hp.Regions:
-    # Return a square of each of four paints that show one of four pixels; each is compared with all references
+    # Return a square of each of four paints in four by four pixels; each is compared with all references
     known = xr.open_zarr(truth)["surface"]
     surface = known.values[xr.open_zarr(store, group="flightlines/raw_0")["frame"].values]
     made = {}
