@@ -1,12 +1,17 @@
 """A coat's strength from the pixels of a curved panel, built by plain mirror geometry."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+import xarray as xr
 from oracles.disort_sky import relative_sky
 from scipy.interpolate import CubicSpline
 
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
-from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.paints.signatures.extraction import strength_of
 
 NM = np.linspace(420.0, 980.0, 60)
@@ -71,3 +76,133 @@ def test_what_cannot_be_told_is_refused_with_a_reason() -> None:
         assert np.isnan(strength)
         assert np.isnan(u)
         assert text in reason
+
+
+# --- signatures of the body under a clear coat: what is put into a line by plain arithmetic comes back ----
+
+
+NM_PAINTS = np.linspace(420.0, 980.0, 12)
+BODY = 0.3 + 0.4 * (NM_PAINTS - 420.0) / 560.0
+STAMP, PLACE = np.datetime64("2024-06-21T16:20", "ns"), (50.0, 0.0)
+SUN = float(solar_position(STAMP, *PLACE)[0])
+CORNERS = [(0, 0), (0, 7), (7, 7), (7, 0)]
+
+
+def fresnel(angle: float, n: float) -> float:
+    c = np.cos(np.radians(angle))
+    t = np.sqrt(1.0 - (1.0 - c**2) / n**2)
+    return float(0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((t - n * c) / (t + n * c)) ** 2))
+
+
+def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
+    # Return a coated panel under a clear sky of which the coat reflects ``sky``
+    f = diffuse_fraction(NM_PAINTS, SUN)
+    share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
+    above = np.array([float(relative_sky(nm, SUN, np.array(1.0), np.array(0.0))) for nm in NM_PAINTS])
+    seen = share * body + fresnel(0.0, n) * f * above
+    cube = np.broadcast_to(seen[:, None].astype(np.float32), (8, NM_PAINTS.size, 8)).copy()
+    rows = {name: ("along_track", np.full(8, value), {"units": "degree"})
+            for name, value in zip(("latitude", "longitude"), PLACE, strict=True)}  # fmt: skip
+    return xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), cube, {"units": "1"})},
+        {
+            "wavelength": ("band", NM_PAINTS, {"units": "nm"}),
+            "time": ("along_track", np.full(8, STAMP)),
+            **rows,
+        },
+    )
+
+
+def signature(seen: xr.Dataset, **options: Any) -> xr.Dataset:
+    regions = hp.Regions((hp.Region("hood", CORNERS, properties={"kind": "panel"}),))
+    return hp.extract_signatures(seen, regions, specular_sky=True, diffuse="model", **options)
+
+
+def mean_sky(n: float) -> np.ndarray:
+    # Return a clear sky's mean of Fresnel's reflectance, by sums over another reading of its tables
+    zenith, azimuth = np.meshgrid(
+        np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.0, 180.0, 2.0)), indexing="ij"
+    )
+    lost = np.vectorize(lambda angle: fresnel(angle, n))(np.degrees(zenith[:, 0]))[:, None]
+    skies = [
+        np.cos(zenith) * np.sin(zenith) * relative_sky(nm, SUN, np.cos(zenith), azimuth) for nm in NM_PAINTS
+    ]
+    return np.array([(sky * lost).sum() / sky.sum() for sky in skies])
+
+
+@pytest.mark.parametrize("n", [1.5, 1.47])
+def test_the_body_comes_back(n: float) -> None:
+    seen = line(mean_sky(n), n=n)
+    body = signature(seen, coat_index=n)
+    assert SUN > 50.0
+    np.testing.assert_allclose(body.reflectance[0], BODY, rtol=2e-3)
+    np.testing.assert_allclose(body.member_reflectance[0, 0], BODY, rtol=2e-3)
+    attrs = body.reflectance.attrs
+    assert attrs["quantity"] == "body reflectance factor under the clear coat"
+    assert attrs["specular_component"] == attrs["mirror_reflection"] == "excluded"
+    assert attrs["coat_corrected"].startswith(f"clear coat of index {n:g}")
+    assert "coat_corrected" in body.attrs["corrections"]
+    through = signature(seen, coat=False, coat_index=n)
+    assert through.reflectance.attrs["quantity"] == "reflectance factor of the body through its clear coat"
+    np.testing.assert_allclose(through.reflectance / body.reflectance, body.coat_transmission, rtol=1e-5)
+    assert "coat_transmission" not in through
+    # what of the index, the lean and the sky is not known
+    assert 0.001 < float(body.coat_transmission_u.min()) < float(body.coat_transmission_u.max()) < 0.02
+
+
+def test_ground_has_no_coat_and_refusals(no_compute: Any) -> None:
+    seen = line(0.1)
+    corners = {"hood": {}, "road": {"kind": "asphalt"}}
+    regions = hp.Regions(tuple(hp.Region(name, CORNERS, properties=own) for name, own in corners.items()))
+    both = hp.extract_signatures(seen, regions, specular_sky=True, diffuse="model")
+    assert float((both.reflectance[0] / both.reflectance[1]).min()) > 1.02
+    assert (both.coat_transmission[1] == 1.0).all()
+    assert (both.coat_transmission_u[1] == 0.0).all()
+    assert both.reflectance.dtype == np.float32
+    with pytest.raises(SchemaError, match="mirrored-sky-included"):
+        hp.surroundings.correct_coat(seen)
+    bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    body = hp.surroundings.correct_coat(bare, diffuse="model")
+    with pytest.raises(SchemaError, match="corrected-before"):
+        hp.surroundings.correct_coat(body)
+    with pytest.raises(SchemaError, match="correct the coat last"):
+        hp.surroundings.remove_mirrored_sky(body)
+    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
+        hp.surroundings.correct_coat(bare, index=0.9)
+    seen = seen.assign(reflectance=seen.reflectance.chunk(along_track=4))
+    seen = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    with no_compute():
+        body = hp.surroundings.correct_coat(seen, diffuse="model")
+    assert body.reflectance.dtype == np.float32
+
+
+def test_a_library_is_corrected_as_an_extraction() -> None:
+    seen = line(0.1)
+    once = signature(seen)
+    again = hp.surroundings.correct_coat(signature(seen, coat=False))
+    np.testing.assert_allclose(again.reflectance, once.reflectance, rtol=1e-6)
+    of_line = hp.surroundings.correct_coat(
+        hp.surroundings.remove_mirrored_sky(seen, diffuse="model"), diffuse="model"
+    )
+    np.testing.assert_allclose(of_line.reflectance[3, :, 3], once.reflectance[0], rtol=1e-5)
+    bare = signature(seen, coat=False)
+    uncertain = bare.assign(
+        reflectance_u_systematic=(
+            ("signature", "band"),
+            np.full((1, NM_PAINTS.size), 0.003, np.float32),
+            {"units": "1"},
+        )
+    )
+    u = hp.surroundings.correct_coat(uncertain)
+    c, uc = u.coat_transmission, u.coat_transmission_u
+    # of the body what the coat transmits, and of black paint the sky in its mirror
+    by_coat, by_sky = u.reflectance * uc / c, bare.reflectance_u_coat / c
+    np.testing.assert_allclose(u.reflectance_u_systematic, np.hypot(0.003 / c, by_coat), rtol=1e-5)
+    np.testing.assert_allclose(u.reflectance_u_coat, np.hypot(by_coat, by_sky), rtol=1e-5)
+    # the sky that was removed from a line is as uncertain
+    plain = hp.extract_signatures(seen, hp.Regions((hp.Region("hood", CORNERS),)), coat=False)
+    both = plain.assign(reflectance_u_systematic=uncertain.reflectance_u_systematic)
+    both = hp.surroundings.remove_mirrored_sky(both, diffuse="model")
+    np.testing.assert_allclose(both.reflectance_u_coat, bare.reflectance_u_coat, rtol=1e-3)
+    expected = np.hypot(0.003, both.reflectance_u_coat)
+    np.testing.assert_allclose(both.reflectance_u_systematic, expected, rtol=1e-5)
