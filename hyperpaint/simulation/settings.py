@@ -124,7 +124,6 @@ def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Fl
     return np.degrees(np.arccos(np.clip(height, -1, 1))), np.degrees(np.arctan2(east, north)) % 360.0
 
 
-@lru_cache(maxsize=64)
 @lru_cache(maxsize=64)  # a year of minutes is computed
 def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: float) -> np.datetime64:
     """Return the time at which the sun is in a direction [degree], on the default day or in its year.
