@@ -18,7 +18,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from hyperpaint.simulation import flight
-from hyperpaint.workflows import rendering
 
 # one profile for all property tests: how fast the machine is today fails none of them, and fixtures of a test
 # are not changed by its examples; HYPERPAINT_EXAMPLES=250 searches for longer
@@ -64,7 +63,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def equal_flights_share_scene_and_sky() -> Iterator[None]:
-    """Make car parks and skies of flights and renders with equal settings once; nothing changes them."""
+    """Make car parks and skies of simulated flights with equal settings once; no flight changes them."""
     plain = flight.sky_irradiance
 
     @functools.lru_cache(64)
@@ -74,9 +73,7 @@ def equal_flights_share_scene_and_sky() -> Iterator[None]:
         return light
 
     with pytest.MonkeyPatch.context() as patch:
-        car_park = functools.lru_cache(8)(flight.car_park)
-        for module in (flight, rendering):
-            patch.setattr(module, "car_park", car_park)
+        patch.setattr(flight, "car_park", functools.lru_cache(8)(flight.car_park))
         patch.setattr(flight, "sky_irradiance", lambda *key: of_bytes(*key[:2], key[2].tobytes()))
         yield
 
