@@ -368,14 +368,6 @@ class IrradianceTable:
                 log[band] = spline.ev(shift[band], factor, dx=dx, dy=dy)
         return log
 
-    def variance_at(self, factor: Floats) -> Floats:
-        # Return the variance of the responses (band, column) at widths (column,) [nm2].
-        position = np.interp(factor, self.factors, np.arange(self.factors.size))
-        lower = np.minimum(position.astype(np.int64), self.factors.size - 2)
-        return np.asarray(
-            self.variance[lower].T + (position - lower) * (self.variance[lower + 1] - self.variance[lower]).T
-        )
-
 
 def mean_light(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
@@ -518,10 +510,12 @@ def variance_of_responses(bands: Responses) -> Floats:
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
 
-#: Lower limit of relative residuals, from float32 and matching [1].
-RESIDUAL_FLOOR = 1e-4
-_FIT_ITERATIONS = 12
-MIN_FREEDOM = 3
+_COLUMNS = SimpleNamespace(
+    #: Lower limit of relative residuals, from float32 and matching [1].
+    residual_floor=1e-4,
+    fit_iterations=12,
+    min_freedom=3,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -549,7 +543,12 @@ class _Ratio:
         # Return the next tilt (band, column) [nm], from the slope of the smooth curve [nm-1].
         ratio = self.log - self.table.at(self.declared + tilt + shift, factor)
         terms = np.einsum("xbp,bx->xp", self.basis, np.where(self.used, ratio, 0.0))
-        return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms) * self.table.variance_at(factor))
+        # variance of the responses (band, column) at widths (column,) [nm2]
+        factors, variance = self.table.factors, self.table.variance
+        position = np.interp(factor, factors, np.arange(factors.size))
+        lower = np.minimum(position.astype(np.int64), factors.size - 2)
+        variance_at = variance[lower].T + (position - lower) * (variance[lower + 1] - variance[lower]).T
+        return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms) * variance_at)
 
     def normal_equations(
         self, tilt: Floats, shift: Floats, factor: Floats, departure: Floats
@@ -581,8 +580,8 @@ class Estimate:
 
 
 def fewest_bands(degree: int) -> int:
-    # Return the number of bands that a fit needs: polynomial, shift, width, and `MIN_FREEDOM` more.
-    return degree + 1 + 2 + MIN_FREEDOM
+    # Return the number of bands that a fit needs: polynomial, shift, width, and `_COLUMNS.min_freedom` more.
+    return int(degree + 1 + 2 + _COLUMNS.min_freedom)
 
 
 def fit_columns(
@@ -610,7 +609,7 @@ def fit_columns(
     with np.errstate(invalid="ignore"):
         used = covered & (radiance > 0.0)
     has_bands = used.sum(axis=0) >= fewest_bands(degree)
-    freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
+    freedom = used.sum(axis=0) - fewest_bands(degree) + _COLUMNS.min_freedom
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, radiance, 1.0)), 0.0)
     ratio = _Ratio(table, log, shift[inside], used, *smooth_basis(table.wavelength, used, degree))
@@ -631,7 +630,7 @@ def fit_columns(
             factor = np.where(is_better, trial_factor, factor)
     # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
     last_step = np.zeros((best.size, 2))
-    for _ in range(_FIT_ITERATIONS):
+    for _ in range(_COLUMNS.fit_iterations):
         tilt = ratio.tilt(tilt, best, factor)
         departure = ratio.departure(tilt, best, factor)
         matrix, vector = ratio.normal_equations(tilt, best, factor, departure)
@@ -649,7 +648,7 @@ def fit_columns(
     residual, residual_declared = (
         (values**2).sum(axis=0) / np.maximum(freedom, 1) for values in (departure, departure_declared)
     )
-    variance = np.maximum(residual, RESIDUAL_FLOOR**2)
+    variance = np.maximum(residual, _COLUMNS.residual_floor**2)
     by_shift, by_factor, mixed = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
     # explicit inverse: a column without absorption bands would make the matrix singular
     determinant = by_shift * by_factor - mixed**2
@@ -739,11 +738,13 @@ def combined(windows: list[Estimate]) -> Estimate:
     residual = _pooled(windows, is_reliable, "residual")
     # pooled variance over the variance of each window, where they are alike: variances from a few tens of
     # bands are uncertain by a third, and so would be weights from them
-    variance = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
+    variance = np.where(
+        is_reliable, np.maximum(stacked(windows, "residual"), _COLUMNS.residual_floor) ** 2, np.nan
+    )
     with np.errstate(all="ignore"):
         largest, smallest = (np.where(is_reliable, variance, limit) for limit in (-np.inf, np.inf))
         is_alike = largest.max(axis=0) <= _MAX_VARIANCE_RATIO * smallest.min(axis=0)
-        noise_factor = np.maximum(residual, RESIDUAL_FLOOR) ** 2 / variance
+        noise_factor = np.maximum(residual, _COLUMNS.residual_floor) ** 2 / variance
     covariance = covariance * np.where(is_reliable & is_alike, noise_factor, 1.0)[..., None, None]
     # where no window is reliable, report the flags of the first
     is_reliable[0] |= ~is_reliable.any(axis=0)
@@ -1076,12 +1077,15 @@ COMPARISON = SimpleNamespace(
     least_effect=1e-3,
 )
 
-_COARSE_STEP_NM = 0.25
-_ITERATIONS = 8
-#: Number of neighbouring bands whose errors form a cluster: noise of a channel spreads over both responses.
-_CLUSTER_BANDS = 4
+_FIT = SimpleNamespace(
+    coarse_step_nm=0.25,
+    iterations=8,
+    #: Number of neighbouring bands whose errors form a cluster: noise of a channel spreads over both
+    #: responses.
+    cluster_bands=4,
+    min_residual=2e-4,
+)
 _DERIVATIVE_NM, _DERIVATIVE_WIDTH = 0.02, 0.01
-_MIN_RESIDUAL = 2e-4
 
 
 class Comparison(NamedTuple):
@@ -1217,7 +1221,22 @@ def compared(line: xr.Dataset, rules: SimpleNamespace = COMPARISON) -> Compariso
         return None
     inside_windows = [is_inside[window] for window in windows]
     used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
-    blocks, shares = _block_means(dataset, declared, used_bands, windows, rules)
+    # Slabs evenly over the line, and the weights (sample,) of record samples in their light. Of a
+    # slab: means (band, column) of all bands, NaN for bands that were not read, and pixels (column,).
+    lines = dataset.sizes[ALONG_TRACK]
+    size = min(rules.block_lines, lines)
+    starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
+    cube = radiance_of_bands(dataset, used_bands)
+    blocks, block_shares = [], []
+    for start in starts:
+        lines_of_block = slice(int(start), int(start) + size)
+        share, level = shares_of_samples(declared, windows, lines_of_block)
+        mean, pixels = mean_over_lines(cube[lines_of_block], level)
+        radiance = np.full((declared.wavelength.size, pixels.size), np.nan)
+        radiance[used_bands] = mean
+        blocks.append((radiance, pixels))
+        block_shares.append(share)
+    shares = np.asarray(np.mean(block_shares, axis=0))
     spectra = declared.light.spectra[shares > 0]
     light, squared_noise = shares[shares > 0] @ spectra, shares[shares > 0] ** 2 @ spectra**2
     relative = noise_of_record(declared.light.spectra, declared.light.time, fewest=1)
@@ -1228,35 +1247,55 @@ def compared(line: xr.Dataset, rules: SimpleNamespace = COMPARISON) -> Compariso
         return None
     is_between = (channels >= windows[0][0]) & (channels <= windows[-1][1])
     width = float(np.broadcast_to(declared.light.fwhm, channels.shape)[is_between].mean())
-    return _joint_fit(usable, rules)._replace(
+    # Fit shift, tilt and width at which radiance over irradiance is smoothest in all windows and groups.
+    # A fourth parameter is the air below the camera, which increases absorption in radiance only.
+    prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
+    # the best of a grid of shifts and widths for the mean group: solar lines cause several minima
+    steps = int(np.ceil(rules.max_shift_nm / _FIT.coarse_step_nm))
+    shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
+    totals = np.zeros((len(rules.widths), shifts.size))
+    for fit in usable:
+        # every shift is a group
+        mean_log, mean_shift = (a[:, fit.valid].mean(axis=1, keepdims=True) for a in (fit.log, fit.shift))
+        trial = replace(fit, log=mean_log, shift=mean_shift + shifts)
+        for row, factor in zip(totals, rules.widths, strict=True):
+            row += (trial.departure(np.zeros(fit.wavelength.size), factor) ** 2).sum(axis=0)
+    at_width, at_shift = divmod(int(totals.argmin()), shifts.size)
+    parameters = np.array([shifts[at_shift], 0.0, rules.widths[at_width], 0.0])
+    limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
+    for _ in range(_FIT.iterations):
+        departures, slopes = _linearised(usable, parameters, rules)
+        weights = _weights(usable, departures)
+        matrix, vector = np.diag(prior), -prior * (parameters - [0.0, 0.0, 1.0, 0.0])
+        for r, j, w in zip(departures, slopes, weights, strict=True):
+            matrix = matrix + np.einsum("ibg,jbg,bg->ij", j, j, w)
+            vector = vector - np.einsum("ibg,bg,bg->i", j, r, w)
+        parameters = np.clip(parameters + np.linalg.solve(matrix, vector), -limits, limits)
+        parameters[2] = np.clip(parameters[2], rules.widths[0], rules.widths[-1])
+    departures, slopes = _linearised(usable, parameters, rules)
+    effects = [
+        (
+            fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
+            - fit.light_at(fit.shift, 1.0)
+        ).mean(axis=1)
+        for fit in usable
+    ]
+    return Comparison(
+        shift=float(parameters[0]),
+        tilt=float(parameters[1]),
+        width=float(parameters[2]),
+        covariance=_covariance(usable, departures, slopes, np.diag(prior), rules),
+        residual=_rms(usable, departures),
+        residual_declared=_rms(usable, [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in usable]),
+        wavelength=np.concatenate([fit.wavelength for fit in usable]),
+        effect=np.concatenate(effects),
+        groups=max(int(fit.valid.sum()) for fit in usable),
+        at_limit=bool(
+            abs(parameters[0]) >= rules.max_shift_nm or not rules.widths[0] < parameters[2] < rules.widths[-1]
+        ),
         sun=record_against_sun(channels, light),
         declared_fwhm=(width, float(declared.fwhm[used_bands].mean())),
     )
-
-
-def _block_means(
-    dataset: xr.Dataset,
-    declared: Declared,
-    used_bands: Array,
-    windows: list[tuple[float, float]],
-    rules: SimpleNamespace,
-) -> tuple[list[tuple[Floats, Array]], Floats]:
-    # Return slabs evenly over the line, and the weights (sample,) of record samples in their light. Of a
-    # slab: means (band, column) of all bands, NaN for bands that were not read, and pixels (column,).
-    lines = dataset.sizes[ALONG_TRACK]
-    size = min(rules.block_lines, lines)
-    starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
-    cube = radiance_of_bands(dataset, used_bands)
-    blocks, shares = [], []
-    for start in starts:
-        lines_of_block = slice(int(start), int(start) + size)
-        share, level = shares_of_samples(declared, windows, lines_of_block)
-        mean, pixels = mean_over_lines(cube[lines_of_block], level)
-        radiance = np.full((declared.wavelength.size, pixels.size), np.nan)
-        radiance[used_bands] = mean
-        blocks.append((radiance, pixels))
-        shares.append(share)
-    return blocks, np.asarray(np.mean(shares, axis=0))
 
 
 def _window_fit(
@@ -1330,56 +1369,6 @@ def _shifts(fit: _WindowFit, parameters: Floats) -> Floats:
     return np.asarray(parameters[0] + parameters[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
-def _joint_fit(fits: list[_WindowFit], rules: SimpleNamespace) -> Comparison:
-    # Fit shift, tilt and width at which radiance over irradiance is smoothest in all windows and groups.
-    # A fourth parameter is the air below the camera, which increases absorption in radiance only.
-    prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
-    # the best of a grid of shifts and widths for the mean group: solar lines cause several minima
-    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
-    shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
-    totals = np.zeros((len(rules.widths), shifts.size))
-    for fit in fits:
-        # every shift is a group
-        mean_log, mean_shift = (a[:, fit.valid].mean(axis=1, keepdims=True) for a in (fit.log, fit.shift))
-        trial = replace(fit, log=mean_log, shift=mean_shift + shifts)
-        for row, width in zip(totals, rules.widths, strict=True):
-            row += (trial.departure(np.zeros(fit.wavelength.size), width) ** 2).sum(axis=0)
-    at_width, at_shift = divmod(int(totals.argmin()), shifts.size)
-    parameters = np.array([shifts[at_shift], 0.0, rules.widths[at_width], 0.0])
-    limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
-    for _ in range(_ITERATIONS):
-        departures, slopes = _linearised(fits, parameters, rules)
-        weights = _weights(fits, departures)
-        matrix, vector = np.diag(prior), -prior * (parameters - [0.0, 0.0, 1.0, 0.0])
-        for r, j, w in zip(departures, slopes, weights, strict=True):
-            matrix = matrix + np.einsum("ibg,jbg,bg->ij", j, j, w)
-            vector = vector - np.einsum("ibg,bg,bg->i", j, r, w)
-        parameters = np.clip(parameters + np.linalg.solve(matrix, vector), -limits, limits)
-        parameters[2] = np.clip(parameters[2], rules.widths[0], rules.widths[-1])
-    departures, slopes = _linearised(fits, parameters, rules)
-    effects = [
-        (
-            fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
-            - fit.light_at(fit.shift, 1.0)
-        ).mean(axis=1)
-        for fit in fits
-    ]
-    return Comparison(
-        shift=float(parameters[0]),
-        tilt=float(parameters[1]),
-        width=float(parameters[2]),
-        covariance=_covariance(fits, departures, slopes, np.diag(prior), rules),
-        residual=_rms(fits, departures),
-        residual_declared=_rms(fits, [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]),
-        wavelength=np.concatenate([fit.wavelength for fit in fits]),
-        effect=np.concatenate(effects),
-        groups=max(int(fit.valid.sum()) for fit in fits),
-        at_limit=bool(
-            abs(parameters[0]) >= rules.max_shift_nm or not rules.widths[0] < parameters[2] < rules.widths[-1]
-        ),
-    )
-
-
 def _linearised(
     fits: list[_WindowFit], parameters: Floats, rules: SimpleNamespace
 ) -> tuple[list[Floats], list[Floats]]:
@@ -1407,7 +1396,7 @@ def _weights(fits: list[_WindowFit], departures: list[Floats]) -> list[Floats]:
     weights = []
     for fit, r in zip(fits, departures, strict=True):
         group_variance = (r**2).mean(axis=0)
-        variance = 0.5 * group_variance + 0.5 * np.median(group_variance[fit.valid]) + _MIN_RESIDUAL**2
+        variance = 0.5 * group_variance + 0.5 * np.median(group_variance[fit.valid]) + _FIT.min_residual**2
         weights.append(np.broadcast_to(np.where(fit.valid, 1.0 / variance, 0.0), r.shape))
     return weights
 
@@ -1437,7 +1426,7 @@ def _covariance(
         # derivatives of departures have no smooth part, so noise needs no further projection
         by_channel += fit.noise @ (j * w).sum(axis=2).T
         by_group += score.sum(axis=1).T
-        edges = np.arange(0, r.shape[0], _CLUSTER_BANDS)
+        edges = np.arange(0, r.shape[0], _FIT.cluster_bands)
         freedom_factor = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
         by_band.append(np.add.reduceat(score.sum(axis=2), edges, axis=1).T * np.sqrt(freedom_factor))
     bands = np.concatenate(by_band)
@@ -1923,7 +1912,24 @@ def apply_alignment(
         code="dim-missing",
     )
     columns = dataset.sizes[CROSS_TRACK]
-    windows = _with_windows(alignment)
+    # the alignment with a leading dim of windows
+    problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
+    for kind, names, present, code in (
+        ("", _VARIABLES, alignment.variables, "variable-missing"),
+        ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
+    ):
+        for name in (name for name in names if name not in present):
+            problems.add(f"{kind}{name!r} is missing", code=code)
+    if _WINDOW not in alignment.attrs:
+        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
+    problems.raise_if_any()
+    windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
+    for name in _VARIABLES[:5]:
+        if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:
+            dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
+            problems.add(f"{name!r} is on {dims}", expected=CROSS_TRACK, code="dims-wrong")
+    problems.raise_if_any()
+    windows = windows.transpose(_WINDOW, ...)
     is_reliable = windows["flag"].values == 0
     problems = Problems("the alignment cannot be applied", SchemaError)
     if windows.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(windows["column"].max()) <= columns - 1:
@@ -1972,27 +1978,6 @@ def apply_alignment(
         aligned = aligned.assign_coords(fwhm=label(width, "fwhm"))
         sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
     return restated(aligned, sentence)
-
-
-def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
-    # Return the alignment with a leading dim of windows; SchemaError for another dataset.
-    problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
-    for kind, names, present, code in (
-        ("", _VARIABLES, alignment.variables, "variable-missing"),
-        ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
-    ):
-        for name in (name for name in names if name not in present):
-            problems.add(f"{kind}{name!r} is missing", code=code)
-    if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
-    problems.raise_if_any()
-    windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
-    for name in _VARIABLES[:5]:
-        if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:
-            dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
-            problems.add(f"{name!r} is on {dims}", expected=CROSS_TRACK, code="dims-wrong")
-    problems.raise_if_any()
-    return windows.transpose(_WINDOW, ...)
 
 
 def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
