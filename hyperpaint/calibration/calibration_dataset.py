@@ -9,6 +9,7 @@ import itertools
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -262,51 +263,51 @@ def anchor_to_radiance(
     """
     one_of(scale, ("element", "common"), "scale")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
-    level = _band_means(calibration, require(calibration, ["wavelength", "fwhm"], "an anchor"), spectrum)
-    signal, exposure = _anchor_signal(frames, calibration)
-    first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
-    # the sweep gives no wavelengths for unlit columns
-    signal[:, :first] = signal[:, last + 1 :] = np.nan
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.where(signal > 0, level * exposure / signal, np.nan)
-    if scale == "common":
-        relative_gain = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
-        gain = relative_gain * float(np.nanmedian(gain / relative_gain))
+    # mean of the source's spectrum over the response of every element (band, cross_track)
     SchemaError.raise_if(
-        not np.isfinite(gain).any(),
-        "no element has a signal and a response inside the source's spectrum",
-        mend="check wavelengths and dark",
-        code="source-coverage",
+        spectrum.ndim != 1,
+        f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
+        expected="one, of wavelengths",
+        code="dims-wrong",
     )
-    return _with_gain(
-        calibration,
-        gain,
-        f"radiance of a known source, {scale} scale",
-        uncertainty,
-        same_shape=scale == "common",
+    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[spectrum.dims[0]]
+    if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
+        raise SchemaError(
+            f"wavelengths of the source have units {axis.attrs['units']!r}",
+            expected="nm",
+            code="units-not-convertible",
+        )
+    grid = (
+        (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
     )
-
-
-def _with_gain(
-    calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
-) -> xr.Dataset:
-    is_good = np.isfinite(gain).mean(axis=1) > 0.5
-    systematic = np.where(is_good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
-    outdated = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
-    outdated += [] if same_shape else ["radiance_gain_u_random"]
-    rescaled = calibration.drop_vars(outdated, errors="ignore")
-    if {"responsivity", "radiance_gain"} <= set(calibration.variables):
-        ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
-        rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
-    rescaled = rescaled.assign(
-        radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
-        radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
+    values = spectrum.to_numpy().astype(np.float64)
+    SchemaError.raise_if(
+        grid.size < 2 or not (np.diff(grid) > 0).all(),
+        "wavelengths of the source's radiance do not increase",
+        mend="sort them",
+        code="wavelength-unordered",
     )
-    good = label(xr.DataArray(is_good, dims=BAND), "good")
-    return rescaled.assign_coords(good=good).assign_attrs(absolute_anchor=anchor, absolute_scale="known")
-
-
-def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
+    tables = {
+        option: calibration[name].to_numpy()
+        for option, name in {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}.items()
+        if name in calibration.variables
+    }
+    wavelength, fwhm = (
+        require(calibration, ["wavelength", "fwhm"], "an anchor")[name].to_numpy()
+        for name in ("wavelength", "fwhm")
+    )
+    if "radiance_gain" in calibration.variables:
+        gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
+        tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
+    responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
+    shifts = np.atleast_2d(calibration.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
+    low, high = float(shifts.min()), float(shifts.max())
+    nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
+    bands = responses.wavelength.size
+    level = np.empty((bands, calibration.sizes.get(CROSS_TRACK, shifts.shape[1])))
+    for band in range(bands):
+        at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
+        level[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
     # Return linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure time
     # [s].
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
@@ -374,53 +375,46 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
                 "elements-saturated",
             )
             signal = np.where(saturated_elements, np.nan, signal)
-    return signal, float(exposure[0])
+    first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
+    # the sweep gives no wavelengths for unlit columns
+    signal[:, :first] = signal[:, last + 1 :] = np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.where(signal > 0, level * exposure / signal, np.nan)
+    if scale == "common":
+        relative_gain = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
+        gain = relative_gain * float(np.nanmedian(gain / relative_gain))
+    SchemaError.raise_if(
+        not np.isfinite(gain).any(),
+        "no element has a signal and a response inside the source's spectrum",
+        mend="check wavelengths and dark",
+        code="source-coverage",
+    )
+    return _with_gain(
+        calibration,
+        gain,
+        f"radiance of a known source, {scale} scale",
+        uncertainty,
+        same_shape=scale == "common",
+    )
 
 
-def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
-    # Return the mean of a spectrum over the response of every element (band, cross_track).
-    SchemaError.raise_if(
-        spectrum.ndim != 1,
-        f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
-        expected="one, of wavelengths",
-        code="dims-wrong",
+def _with_gain(
+    calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
+) -> xr.Dataset:
+    is_good = np.isfinite(gain).mean(axis=1) > 0.5
+    systematic = np.where(is_good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
+    outdated = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
+    outdated += [] if same_shape else ["radiance_gain_u_random"]
+    rescaled = calibration.drop_vars(outdated, errors="ignore")
+    if {"responsivity", "radiance_gain"} <= set(calibration.variables):
+        ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
+        rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
+    rescaled = rescaled.assign(
+        radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
+        radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     )
-    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[spectrum.dims[0]]
-    if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
-        raise SchemaError(
-            f"wavelengths of the source have units {axis.attrs['units']!r}",
-            expected="nm",
-            code="units-not-convertible",
-        )
-    grid = (
-        (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
-    )
-    values = spectrum.to_numpy().astype(np.float64)
-    SchemaError.raise_if(
-        grid.size < 2 or not (np.diff(grid) > 0).all(),
-        "wavelengths of the source's radiance do not increase",
-        mend="sort them",
-        code="wavelength-unordered",
-    )
-    tables = {
-        option: calibration[name].to_numpy()
-        for option, name in {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}.items()
-        if name in calibration.variables
-    }
-    wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))
-    if "radiance_gain" in calibration.variables:
-        gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
-        tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
-    responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
-    shifts = np.atleast_2d(calibration.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
-    low, high = float(shifts.min()), float(shifts.max())
-    nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
-    bands = responses.wavelength.size
-    means = np.empty((bands, calibration.sizes.get(CROSS_TRACK, shifts.shape[1])))
-    for band in range(bands):
-        at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
-        means[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
-    return means
+    good = label(xr.DataArray(is_good, dims=BAND), "good")
+    return rescaled.assign_coords(good=good).assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
 def _mean_over_response(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
@@ -527,20 +521,22 @@ def _axis(array: xr.DataArray, name: str) -> xr.DataArray:
 # curve; the monochromator's line is deconvolved by least squares without negative response.
 
 
-#: Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
-_TABLE_REACH = 2.0
+_SHAPE_FIT = SimpleNamespace(
+    #: Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
+    table_reach=2.0,
+    #: Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3
+    #: where the monochromator is as wide as the camera's response.
+    smoothing=1e-4,
+    min_samples=4.0,  # mean number at a point of the curve
+    #: Distance of curve and model, relative to the model, above which a table is used [1]: the right model
+    #: gives 0.0006, a slit with a tail of a tenth of its width 0.024.
+    max_model_misfit=0.012,
+    #: Width of the monochromator over the camera's above which fwhm is ill-conditioned and the response is
+    #: not resolved [1].
+    max_slit_share=0.7,
+    sun_zenith_deg=48.2,  # of the daylight in which the effect is stated
+)
 _TABLE_STEP = 0.04  # in widths
-#: Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3 where
-#: the monochromator is as wide as the camera's response.
-_SMOOTHING = 1e-4
-_MIN_SAMPLES = 4.0  # mean number at a point of the curve
-#: Distance of curve and model, relative to the model, above which a table is used [1]: the right model gives
-#: 0.0006, a slit with a tail of a tenth of its width 0.024.
-MAX_MODEL_MISFIT = 0.012
-#: Width of the monochromator over the camera's above which fwhm is ill-conditioned and the response is not
-#: resolved [1].
-MAX_SLIT_SHARE = 0.7
-_SUN_ZENITH_DEG = 48.2  # of the daylight in which the effect is stated
 
 
 class MeasuredShape(NamedTuple):
@@ -567,7 +563,9 @@ def measured_shape(
     # ``shape``: the best line model.
     from scipy.optimize import nnls
 
-    edges = np.arange(-_TABLE_REACH - _TABLE_STEP / 2, _TABLE_REACH + _TABLE_STEP, _TABLE_STEP)
+    edges = np.arange(
+        -_SHAPE_FIT.table_reach - _TABLE_STEP / 2, _SHAPE_FIT.table_reach + _TABLE_STEP, _TABLE_STEP
+    )
     # sums over the samples between two edges: area, area times distance, area times height
     sums, light, spacing, count = np.zeros((3, edges.size - 1)), [], [], 0
     for step, window in enumerate(sweep_data.windows):
@@ -595,7 +593,7 @@ def measured_shape(
         light.append(float(lab.width[step] / camera_width[step]))
         spacing.append(float(np.median(pitch)))
         count += int(is_inside.sum())
-    if count < _MIN_SAMPLES * (edges.size - 1):
+    if count < _SHAPE_FIT.min_samples * (edges.size - 1):
         return None
     # matrix from a response (offset,) to the curve, which is its convolution with a lamp line
     offset, width = 0.5 * (edges[1:] + edges[:-1]), float(np.median(light))
@@ -616,7 +614,7 @@ def measured_shape(
     )
     # smooth response, not negative and of unit area, whose convolution fits the curve
     root_weight = np.sqrt(weight / weight.mean())
-    smoothness = np.diff(np.eye(offset.size), 2, axis=0) * np.sqrt(_SMOOTHING) / _TABLE_STEP
+    smoothness = np.diff(np.eye(offset.size), 2, axis=0) * np.sqrt(_SHAPE_FIT.smoothing) / _TABLE_STEP
     response, _ = nnls(
         np.vstack([root_weight[:, None] * source, smoothness]),
         np.concatenate([root_weight * observed, np.zeros(offset.size - 2)]),
@@ -624,12 +622,12 @@ def measured_shape(
     response = response / (response.sum() * _TABLE_STEP)
     # change of daylight in a band, 420 to 950 nm, if the model replaces the response
     nm = np.arange(380.0, 1001.0)
-    daylight = sum(ClearSky(_SUN_ZENITH_DEG).irradiance(nm))
+    daylight = sum(ClearSky(_SHAPE_FIT.sun_zenith_deg).irradiance(nm))
     width_nm = float(np.median(camera_width))
     daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
     return MeasuredShape(
-        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= MAX_SLIT_SHARE
+        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= _SHAPE_FIT.max_slit_share
     )
 
 
@@ -638,13 +636,15 @@ def measured_shape(
 # steps it is filled by quantities that hardly change from step to step: wings as a function of the distance
 # from the lamp line, and the second order as a share of the lamp line at twice its wavelength.
 
-#: Minimum number of bands outside a lamp line for an estimate of scattered light.
-MIN_BANDS_OUTSIDE = 4
-#: Number of nearest bins of distance from which a wing is extrapolated, exponentially, by at most a factor of
-#: e.
-_NEAREST_BINS = 3
-#: Relative standard uncertainty of the wing inside a line's window, extrapolated from outside [1].
-_WING_U = 0.25
+OFF_LINES = SimpleNamespace(
+    #: Minimum number of bands outside a lamp line for an estimate of scattered light.
+    min_bands_outside=4,
+    #: Number of nearest bins of distance from which a wing is extrapolated, exponentially, by at most a
+    #: factor of e.
+    nearest_bins=3,
+    #: Relative standard uncertainty of the wing inside a line's window, extrapolated from outside [1].
+    wing_u=0.25,
+)
 
 
 class OffLines(NamedTuple):
@@ -677,7 +677,21 @@ def light_off_lines(
         is_covered = wavelength.min() + 2.0 * fwhm <= middle <= wavelength.max() - 2.0 * fwhm
         if is_covered and is_ring.sum() >= 4 and (rows[step][is_near] != 0).all():
             second_order[step] = (rows[step][is_near] - np.median(rows[step][is_ring])).sum()
-    matrix = _stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
+    # share of the light of a source band that other bands receive (band, source_band) [1]
+    band = np.arange(rows.shape[1])
+    is_usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
+    matrix = _wings((band - centre[:, None])[is_usable], rows[is_usable], band[:, None] - band)
+    has_second = np.isfinite(second_order)
+    if has_second.any():
+        is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
+        share = second_order[has_second]
+        level = np.interp(
+            wavelength, step_wavelength[has_second], np.maximum(share, 0.0), left=share[0], right=share[-1]
+        )
+        level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
+        distance = (wavelength[:, None] - 2.0 * wavelength) / (1.5 * float(np.median(width)))
+        shape = np.exp(-4.0 * np.log(2.0) * distance**2)
+        matrix += level * shape / np.maximum(shape.sum(axis=0), 1.0)
     source = np.clip(np.round(centre), 0, len(matrix) - 1).astype(np.int64)
     # relative uncertainty: difference of the matrix to the sums of single steps, and offset of the dark
     modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
@@ -689,7 +703,7 @@ def light_off_lines(
     shares = []
     for row, band in zip(rows, source, strict=True):
         is_outside = row != 0
-        if is_outside.sum() >= MIN_BANDS_OUTSIDE:
+        if is_outside.sum() >= OFF_LINES.min_bands_outside:
             # the background that is subtracted from a lamp line: clipped mean of the bands outside its window
             median = np.median(row[is_outside])
             spread = 1.4826 * np.median(np.abs(row[is_outside] - median))
@@ -700,7 +714,12 @@ def light_off_lines(
     is_usable = relative < MAX_STRAY_LIGHT_U
     counted = 1.0 / (1.0 - wing) if is_usable else 1.0
     return OffLines(
-        second_order, matrix * counted, relative, wing, counted, wing * (_WING_U if is_usable else 1.0)
+        second_order,
+        matrix * counted,
+        relative,
+        wing,
+        counted,
+        wing * (OFF_LINES.wing_u if is_usable else 1.0),
     )
 
 
@@ -730,28 +749,6 @@ def dark_off_lines(
     return results
 
 
-def _stray_light_matrix(
-    rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
-) -> Floats:
-    # Return the share of the light of a source band that other bands receive (band, source_band) [1];
-    # `second` (step,) as of `light_off_lines`.
-    band = np.arange(rows.shape[1])
-    is_usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
-    matrix = _wings((band - centre[:, None])[is_usable], rows[is_usable], band[:, None] - band)
-    has_second = np.isfinite(second)
-    if has_second.any():
-        is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
-        share = second[has_second]
-        level = np.interp(
-            wavelength, step_wavelength[has_second], np.maximum(share, 0.0), left=share[0], right=share[-1]
-        )
-        level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
-        distance = (wavelength[:, None] - 2.0 * wavelength) / (1.5 * float(np.median(width)))
-        shape = np.exp(-4.0 * np.log(2.0) * distance**2)
-        matrix += level * shape / np.maximum(shape.sum(axis=0), 1.0)
-    return matrix
-
-
 def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
     # Return the wing of a lamp line at distances (band, source_band) [band], from shares of counts at some
     # distances.
@@ -768,9 +765,9 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
     # inside the window of a lamp line the wing is hidden: extrapolate its rise from outside, on both sides
     reach = float(np.abs(distance).min())
     for sign in (-1.0, 1.0):
-        order = np.argsort(np.where(sign * centres > 0, sign * centres, np.inf))[:_NEAREST_BINS]
+        order = np.argsort(np.where(sign * centres > 0, sign * centres, np.inf))[: OFF_LINES.nearest_bins]
         nearest, level, rise = sign * centres[order], levels[order], 0.0
-        if level.size == _NEAREST_BINS and ((nearest > 0) & (level > 0)).all():
+        if level.size == OFF_LINES.nearest_bins and ((nearest > 0) & (level > 0)).all():
             rise = np.clip(-np.polyfit(nearest, np.log(level), 1)[0], 0.0, 1.0 / nearest[0])
         exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
         wing = np.where((np.abs(at) < reach) & (sign * at >= 0), max(level[0], 0.0) * np.exp(exponent), wing)
@@ -785,16 +782,18 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
 
 #: Relative error of the gain above which it is reported [1].
 MIN_REPORTED_ERROR = 0.01
-#: Number of steps over which departures are averaged: structure may be local.
-_WINDOW_STEPS = 9
-#: Degree of the polynomial of the log responsivity over the sweep, around which areas ripple: detectors and
-#: gratings change over some 60 nm and more.
-_RESPONSIVITY_DEGREE = 9
-#: Error between lamp lines over the root mean square of the ripple, where they are independent: root mean
-#: squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over the residual of such a
-#: ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest error is up to twice that,
-#: less where bands average over fringes.
-_RIPPLE_SPREAD = 1.5
+RESPONSIVITY = SimpleNamespace(
+    #: Number of steps over which departures are averaged: structure may be local.
+    window_steps=9,
+    #: Degree of the polynomial of the log responsivity over the sweep, around which areas ripple: detectors
+    #: and gratings change over some 60 nm and more.
+    degree=9,
+    #: Error between lamp lines over the root mean square of the ripple, where they are independent: root mean
+    #: squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over the residual of
+    #: such a ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest error is up to
+    #: twice that, less where bands average over fringes.
+    ripple_spread=1.5,
+)
 
 
 def error_between_lines(
@@ -810,17 +809,17 @@ def error_between_lines(
     #
     # With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope
     # to the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over
-    # some steps, with :math:`s` the constant ``_RIPPLE_SPREAD``. A ripple that the steps resolve has the
-    # slope that moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to
-    # it. Noise of places counts as such.
+    # some steps, with :math:`s` the constant ``RESPONSIVITY.ripple_spread``. A ripple that the steps resolve
+    # has the slope that moves the lines; a ripple that they miss, or the scatter of a power meter, is
+    # unrelated to it. Noise of places counts as such.
     from scipy.interpolate import CubicSpline
 
     usable = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
-    if usable.size < 2 * _WINDOW_STEPS:
+    if usable.size < 2 * RESPONSIVITY.window_steps:
         return None
     wavelength_used, log_level = wavelength[usable], np.log(level[usable])
     position = 2.0 * (wavelength_used - wavelength_used[0]) / (wavelength_used[-1] - wavelength_used[0]) - 1.0
-    ripple = log_level - np.polynomial.chebyshev.Chebyshev.fit(position, log_level, _RESPONSIVITY_DEGREE)(
+    ripple = log_level - np.polynomial.chebyshev.Chebyshev.fit(position, log_level, RESPONSIVITY.degree)(
         position
     )
     slope = CubicSpline(wavelength_used, ripple).derivative()(wavelength_used)
@@ -830,38 +829,26 @@ def error_between_lines(
     for values in (slope, slope_difference):  # slopes of a spline are unreliable at its ends
         values[:2], values[-2:] = np.nan, np.nan
     missed_share = (_running_rms(slope_difference) / np.maximum(_running_rms(slope), 1e-12)) ** 2
-    error = _RIPPLE_SPREAD * _running_rms(ripple) * np.minimum(1.0, missed_share)
+    error = RESPONSIVITY.ripple_spread * _running_rms(ripple) * np.minimum(1.0, missed_share)
     worst = int(error.argmax())
     return float(error[worst]), float(wavelength_used[worst])
 
 
-def level_scatter(nodes: Floats) -> float:
-    # Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
-    #
-    # Differences that a column has at all steps are subtracted; NaN marks unknown values.
-    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
-        deviation = np.log(nodes)
-        deviation = deviation - np.nanmedian(deviation, axis=0)
-        deviation = deviation - np.nanmedian(deviation, axis=1, keepdims=True)
-        number = np.maximum(np.isfinite(deviation).sum(axis=1), 1)
-        scatter = 1.25 * 1.4826 * np.nanmedian(np.abs(deviation), axis=1) / np.sqrt(number)
-    return float(np.nan_to_num(np.nanmax(scatter, initial=0.0)))
-
-
 def _running_rms(values: Floats) -> Floats:
     # Return the root mean square over some steps; near the ends over fewer steps.
-    is_finite, window = np.isfinite(values), np.ones(_WINDOW_STEPS)
+    is_finite, window = np.isfinite(values), np.ones(RESPONSIVITY.window_steps)
     total = np.convolve(np.where(is_finite, values, 0.0) ** 2, window, "same")
     return np.asarray(np.sqrt(total / np.maximum(np.convolve(is_finite, window, "same"), 1.0)))
 
 
-#: Allowed distance of an element beyond the outer step, lower and upper limit [nm].
-EDGE_TOLERANCE_NM = (0.01, 0.05)
-#: Offset of the dark above which it is reported [count].
-MAX_DARK_OFFSET = 1.0
-#: Electrons per count of any camera.
-ELECTRONS_RANGE = (0.05, 2000.0)
+EXPECTED = SimpleNamespace(
+    #: Allowed distance of an element beyond the outer step, lower and upper limit [nm].
+    edge_tolerance_nm=(0.01, 0.05),
+    #: Offset of the dark above which it is reported [count].
+    max_dark_offset=1.0,
+    #: Electrons per count of any camera.
+    electrons_range=(0.05, 2000.0),
+)
 
 
 def responses_of_lines(lamp_lines: LampLines, lab: LabSweep, spacing: Floats) -> Floats:
@@ -931,7 +918,7 @@ class Result:
         source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
         own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
         factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
-        low, high = EDGE_TOLERANCE_NM
+        low, high = EXPECTED.edge_tolerance_nm
         # without light that is scattered into the window of a lamp line
         self.gain, has_gain = element_gain(
             lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
@@ -943,15 +930,24 @@ class Result:
         self.measured = measured_shape(
             lab, self.sweep_data, lamp_lines, self.wavelength_map, is_placed, self.fwhm_at_steps, self.shape
         )
-        self.fits_no_model = self.measured is not None and self.measured.misfit > MAX_MODEL_MISFIT
+        self.fits_no_model = self.measured is not None and self.measured.misfit > _SHAPE_FIT.max_model_misfit
         # error of the gain between lamp lines [1], 0 if negligible or explained by column differences
         distance = row_medians(self.line_wavelength - lab.wavelength[:, None], is_placed) + self.slope_shift
         self.between = error_between_lines(lab.wavelength, level, distance, source)
         self.error_between = 0.0
         if self.between is not None and not (self.fits_no_model and not self.is_shape_free):
-            # scatter of the columns' median ripples like missed structure; twice that is significant
-            scatter = level_scatter(np.where(self.used, nodes, np.nan))
-            if self.between[0] > max(MIN_REPORTED_ERROR, 2.0 * _RIPPLE_SPREAD * scatter):
+            # Scatter of the columns' median ripples like missed structure; twice that is significant. It is
+            # its relative uncertainty, from differences of columns (step, column) [1]; differences that a
+            # column has at all steps are subtracted.
+            with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
+                deviation = np.log(np.where(self.used, nodes, np.nan))
+                deviation = deviation - np.nanmedian(deviation, axis=0)
+                deviation = deviation - np.nanmedian(deviation, axis=1, keepdims=True)
+                number = np.maximum(np.isfinite(deviation).sum(axis=1), 1)
+                scatter = 1.25 * 1.4826 * np.nanmedian(np.abs(deviation), axis=1) / np.sqrt(number)
+            scatter = float(np.nan_to_num(np.nanmax(scatter, initial=0.0)))
+            if self.between[0] > max(MIN_REPORTED_ERROR, 2.0 * RESPONSIVITY.ripple_spread * scatter):
                 self.error_between = self.between[0]
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
@@ -1024,17 +1020,18 @@ class Result:
         )
 
     def _warn(self) -> None:
-        is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
+        is_wide = self.lab.width > _SHAPE_FIT.max_slit_share * self.fwhm_at_steps
         if is_wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
             warn_user(
                 f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{MAX_SLIT_SHARE:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is ill-conditioned "
+                f"{_SHAPE_FIT.max_slit_share:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is "
+                "ill-conditioned "
                 "there; narrow the slits",
                 "slit-too-wide",
             )
         offset = self.dark_check.get("dark_offset_count", 0.0)
-        if abs(offset) > MAX_DARK_OFFSET:
+        if abs(offset) > EXPECTED.max_dark_offset:
             warn_user(
                 f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
                 "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
@@ -1125,7 +1122,7 @@ class Result:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.electrons_per_count
-        low, high = (electrons, electrons) if electrons is not None else ELECTRONS_RANGE
+        low, high = (electrons, electrons) if electrons is not None else EXPECTED.electrons_range
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if max_counts * low > 1.05:
             share, expected, size = max_counts * low, "below 1", "small"
@@ -1361,7 +1358,18 @@ def fitted_lines(
         curve_distance = np.linspace(-reach, reach, _POINTS)
         distance, counts = np.empty(0), np.empty(0)
         if lab is not None:
-            distance, counts = _samples(lab, calibration, step, column)
+            raw = lab.frame(step)
+            dark = lab.dark.at(float(lab.exposure[step]))
+            net = linearity_of(calibration).net(raw, dark)
+            if "flat_field" in calibration.variables:
+                net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
+            window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)
+            if window is None or column not in window.columns:
+                distance, counts = np.empty(0), np.empty(0)
+            else:
+                line = int(np.flatnonzero(window.columns == column)[0])
+                is_finite = np.isfinite(window.values[line])
+                distance, counts = window.places[line, is_finite], window.values[line, is_finite]
             is_near = np.abs(distance - centre) <= reach
             distance, counts = distance[is_near] - centre, counts[is_near]
         # profile of the lamp line at its centre, which has unit height, at the samples and along the curve
@@ -1381,20 +1389,6 @@ def fitted_lines(
             )
         )
     return results
-
-
-def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:
-    raw = lab.frame(step)
-    dark = lab.dark.at(float(lab.exposure[step]))
-    net = linearity_of(calibration).net(raw, dark)
-    if "flat_field" in calibration.variables:
-        net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
-    window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)
-    if window is None or column not in window.columns:
-        return np.empty(0), np.empty(0)
-    line = int(np.flatnonzero(window.columns == column)[0])
-    is_finite = np.isfinite(window.values[line])
-    return window.places[line, is_finite], window.values[line, is_finite]
 
 
 # --- calibrating -------------------------------------------------------------------------------------------
@@ -1534,7 +1528,30 @@ def calibrate(
     flat_factors = (
         None if flat_field is None else element_values(flat_field, bad.shape, "flat_field").astype(np.float64)
     )
-    curve = _linearity_curve(linearity, linearity_on, lab)
+    # the linearity curve of the arguments
+    problems = Problems("linearity= cannot be applied", SchemaError)
+    if isinstance(linearity, xr.DataArray):
+        SchemaError.raise_if(
+            linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords,
+            f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
+            expected="one, linearity_counts, with a coordinate of measured counts",
+            code="dims-wrong",
+        )
+        table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
+        table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
+        curve = linearity_of(table.assign_attrs(linearity_on=linearity_on))
+    elif isinstance(linearity, xr.Dataset):
+        curve = linearity_of(linearity.assign_attrs(linearity_on=linearity_on))
+        problems.add_if(
+            curve.basis is not None and curve.weights.shape[1:] != lab.shape[1:],
+            f"'linearity_map' has shape {np.shape(curve.weights)}",
+            expected=f"(linearity_term, band, cross_track), the last two {lab.shape[1:]}",
+            code="length-mismatch",
+        )
+    else:
+        curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": linearity_on}))
+    curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
+    problems.raise_if_any()
     # first fits: centres of lamp lines, and a rough wavelength map
     sweep_data = read_lines(lab, bad, curve, flat_factors, tick)
     windows = sweep_data.windows
@@ -1612,7 +1629,23 @@ def calibrate(
             "flux-profile-missing",
         )
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
-    _refuse_undersampled(lab, wavelength_map, fwhm)
+    # Light between bands farther apart than lamp lines are wide is not counted: the area of a lamp line,
+    # counts summed over bands, depends on its position between bands. For Gaussian lamp lines the sum ripples
+    # by 2 exp(-2 pi^2 s^2), s the standard deviation in bands: by 6 % at a full width of one band, some 1 %
+    # in the mean of steps, and by 20 % at 0.8.
+    spacing = wavelength_map.spacing(np.arange(lab.shape[1]), lab.shape[2] // 2)
+    monochromator = float(np.median(lab.width))
+    if not float(np.median(np.hypot(fwhm, monochromator) / spacing)) >= 1.0:
+        band_distance, band_width = float(np.median(spacing)), float(np.median(fwhm))
+        needed_width = np.sqrt(max(band_distance**2 - band_width**2, 0.0))
+        raise refused(
+            f"bands {band_distance:.3g} nm apart and {band_width:.2g} nm wide do not count the light between "
+            f"them, of lamp lines {monochromator:.2g} nm wide",
+            expected="bands that overlap",
+            mend="sweep with the monochromator's line widened to "
+            f"{1.2 * max(needed_width, band_distance):.2g} nm",
+            code="bands-undersampled",
+        )
     camera_width = at_steps(lab, wavelength_map, fwhm)
     complete_edge_lines(lab, sweep_data, lamp_lines, wavelength_map, light_wavelength, camera_width, shape)
     return Result(
@@ -1639,57 +1672,6 @@ def calibrate(
         differences=differences,
         is_shape_free=srf_shape is None,
     ).dataset(flat_factors)
-
-
-def _linearity_curve(
-    linearity: Sequence[float] | xr.DataArray | xr.Dataset, on: str, lab: LabSweep
-) -> Linearity:
-    # Return the linearity curve of the arguments; SchemaError for an invalid one.
-    problems = Problems("linearity= cannot be applied", SchemaError)
-    if isinstance(linearity, xr.DataArray):
-        SchemaError.raise_if(
-            linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords,
-            f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
-            expected="one, linearity_counts, with a coordinate of measured counts",
-            code="dims-wrong",
-        )
-        table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
-        table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
-        curve = linearity_of(table.assign_attrs(linearity_on=on))
-    elif isinstance(linearity, xr.Dataset):
-        curve = linearity_of(linearity.assign_attrs(linearity_on=on))
-        problems.add_if(
-            curve.basis is not None and curve.weights.shape[1:] != lab.shape[1:],
-            f"'linearity_map' has shape {np.shape(curve.weights)}",
-            expected=f"(linearity_term, band, cross_track), the last two {lab.shape[1:]}",
-            code="length-mismatch",
-        )
-    else:
-        curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": on}))
-    curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
-    problems.raise_if_any()
-    return curve
-
-
-def _refuse_undersampled(lab: LabSweep, wavelength_map: WavelengthMap, fwhm: Floats) -> None:
-    # Refuse bands farther apart than lamp lines are wide: light between such bands is not counted.
-    #
-    # The area of a lamp line, counts summed over bands, then depends on its position between bands: for
-    # Gaussian lamp lines the sum ripples by 2 exp(-2 pi^2 s^2), s the standard deviation in bands: by 6 % at
-    # a full width of one band, some 1 % in the mean of steps, and by 20 % at 0.8.
-    spacing = wavelength_map.spacing(np.arange(lab.shape[1]), lab.shape[2] // 2)
-    monochromator = float(np.median(lab.width))
-    if float(np.median(np.hypot(fwhm, monochromator) / spacing)) >= 1.0:
-        return
-    distance, width = float(np.median(spacing)), float(np.median(fwhm))
-    needed_width = np.sqrt(max(distance**2 - width**2, 0.0))
-    raise refused(
-        f"bands {distance:.3g} nm apart and {width:.2g} nm wide do not count the light between them, of lamp "
-        f"lines {monochromator:.2g} nm wide",
-        expected="bands that overlap",
-        mend=f"sweep with the monochromator's line widened to {1.2 * max(needed_width, distance):.2g} nm",
-        code="bands-undersampled",
-    )
 
 
 def _check_trusted(sweep_data: SweepData, lamp_lines: LampLines, fits: Sequence[Fits | None]) -> None:
@@ -1749,12 +1731,14 @@ def _slope_and_shift(
     return slope, slope_shift_of_lines(lab, noise, slope, width, pitch, amplitude, shape)
 
 
-#: Degree of a beam's log profile over the columns.
-BEAM_DEGREE = 4
-#: A decrease must exceed this number of standard deviations of noise and element differences.
-BEAM_SDS = 4.5
-#: Allowed change of a profile from step to step, relative to the tolerance [1].
-MAX_CHANGE_SHARE = 1.0 / 3.0
+BEAM = SimpleNamespace(
+    #: Degree of a beam's log profile over the columns.
+    degree=4,
+    #: A decrease must exceed this number of standard deviations of noise and element differences.
+    sds=4.5,
+    #: Allowed change of a profile from step to step, relative to the tolerance [1].
+    max_change_share=1.0 / 3.0,
+)
 
 
 def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
@@ -1768,11 +1752,11 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
         return None
     level, uncertainty = _profiles(areas[steps])
     decrease = np.nanmax(level, axis=1) - np.nanmin(level, axis=1)
-    significant_decrease = decrease - BEAM_SDS * np.sqrt(2.0) * np.nanmax(uncertainty, axis=1)
+    significant_decrease = decrease - BEAM.sds * np.sqrt(2.0) * np.nanmax(uncertainty, axis=1)
     mean = np.nanmean(level, axis=0)
     mean_spread = np.nanmax(uncertainty / np.sqrt(np.isfinite(level).sum(axis=0)))
     if (
-        np.ptp(mean) - BEAM_SDS * np.sqrt(2.0) * mean_spread > tolerance
+        np.ptp(mean) - BEAM.sds * np.sqrt(2.0) * mean_spread > tolerance
         or significant_decrease.max() > tolerance
     ):
         worst = int(np.argmax(significant_decrease))
@@ -1781,7 +1765,7 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     changes = np.nanmean((level - mean) ** 2, axis=0)
     noise = np.nanmean(uncertainty**2, axis=0)
     column = int(np.argmax(changes - noise))
-    if float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0))) > MAX_CHANGE_SHARE * tolerance:
+    if float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0))) > BEAM.max_change_share * tolerance:
         share = float(np.sqrt(changes[column]))
         worst_column = int(np.flatnonzero(np.isfinite(areas[steps]).any(axis=0))[column])
         return f"the share of light of column {worst_column} varies by {share:.1%} from step to step"
@@ -1795,7 +1779,7 @@ def _profiles(areas: Floats) -> tuple[Floats, Floats]:
     position = np.linspace(-1.0, 1.0, lit_columns.size)
     for row, area in enumerate(areas[:, lit_columns]):
         is_lit = np.isfinite(area) & (area > 0)
-        degree = min(BEAM_DEGREE, int(is_lit.sum()) // 4)
+        degree = min(BEAM.degree, int(is_lit.sum()) // 4)
         terms = np.asarray(chebyshev.chebvander(position[is_lit], degree), np.float64)
         log_area = np.log(area[is_lit])
         inverse = np.linalg.pinv(terms)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -468,7 +469,16 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         for name, array in arrays.items()
         if name not in ("counts", "counts_variance", "dark_counts")
     }
-    _check_order(values, problems)
+    sweep_nm = values.get("step_wavelength", np.ones(1))
+    if not np.isfinite(sweep_nm).all() or (sweep_nm <= 0).any():
+        problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
+    elif (unordered := np.flatnonzero(np.diff(sweep_nm) <= 0)).size:
+        texts = [f"{sweep_nm[k + 1]:g} after {sweep_nm[k]:g} nm (step {k + 1})" for k in unordered]
+        problems.add(
+            f"steps are out of order: {listed(texts, '', 3)}",
+            mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
+            code="steps-unordered",
+        )
     for name in (name for name in _POSITIVE if name in values):
         high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
         _check_positive(name, arrays[name].dims, values[name], high, wavelength, problems)
@@ -489,25 +499,6 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     problems.raise_if_any()
     assert dark is not None  # otherwise there is a problem
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
-
-
-def _check_order(values: dict[str, Floats], problems: Problems) -> None:
-    if "step_wavelength" not in values:
-        return
-    wavelength = values["step_wavelength"]
-    if not np.isfinite(wavelength).all() or (wavelength <= 0).any():
-        problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
-        return
-    unordered = np.flatnonzero(np.diff(wavelength) <= 0)
-    if unordered.size:
-        listed_steps = listed(
-            [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in unordered], "", 3
-        )
-        problems.add(
-            f"steps are out of order: {listed_steps}",
-            mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
-            code="steps-unordered",
-        )
 
 
 def _check_positive(
@@ -721,7 +712,18 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     scatter = 1.4826 * float(np.median(np.abs(spectrum[is_far]))) if is_far.any() else 0.0
     if not smooth[peak] > max(8.0 * scatter, 1e-9):
         return None
-    width = _rough_width(spectrum, peak)
+    # full width of a peak from area over height, at least one band [band].
+    half_width = 3
+    for _ in range(6):
+        samples = spectrum[max(peak - half_width, 0) : peak + half_width + 1]
+        # at the edge of the array, a lamp line has only one side
+        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half_width) / half_width
+        width = max(2.0 * samples.sum() / share / (samples.max() * _GAUSSIAN_AREA), 1.0)
+        needed_half = int(np.ceil(2.0 * width + 1.0))
+        if needed_half <= half_width:
+            break
+        half_width = min(needed_half, len(spectrum))
+    width = float(min(width, len(spectrum) / 4.0))
     half_width = int(np.ceil(REACH * width + 2.0))
     # peak of the lamp line in each column, which moves by smile
     margin = int(np.ceil(width)) + 3
@@ -786,21 +788,6 @@ def _mean(values: Floats, axis: int) -> Floats:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _rough_width(spectrum: Floats, peak: int) -> float:
-    # Return the full width of a peak from area over height, at least one band [band].
-    half_width = 3
-    for _ in range(6):
-        samples = spectrum[max(peak - half_width, 0) : peak + half_width + 1]
-        # at the edge of the array, a lamp line has only one side
-        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half_width) / half_width
-        width = max(2.0 * samples.sum() / share / (samples.max() * _GAUSSIAN_AREA), 1.0)
-        needed_half = int(np.ceil(2.0 * width + 1.0))
-        if needed_half <= half_width:
-            break
-        half_width = min(needed_half, len(spectrum))
-    return float(min(width, len(spectrum) / 4.0))
-
-
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
     # Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits.
     lamp_lines = len(parameters)
@@ -846,7 +833,17 @@ def fit_window(
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
     if start is None:
-        parameters, model = _start(window, light), values
+        positive = np.maximum(values, 0.0)
+        peak, height = np.argmax(positive, axis=1), positive.max(axis=1)
+        side = np.arange(positive.shape[1]) - peak[:, None]
+        is_near = np.abs(side) <= positive.shape[1] / 4
+        # the larger half is doubled, for lamp lines cut off at the edge of the array
+        halves = [np.where(is_near & (sign * side > 0), positive, 0.0).sum(axis=1) for sign in (1, -1)]
+        area = height + 2.0 * np.maximum(*halves)
+        observed = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
+        width = np.sqrt(np.maximum(observed**2 - light.width**2, (0.3 * observed) ** 2))
+        columns = [window.first + peak, width, area, np.zeros_like(area)]
+        parameters, model = np.column_stack(columns).astype(np.float64), values
     else:
         parameters, width = start.parameters.copy(), start.width
         parameters[:, WIDTH] = np.sqrt(np.maximum(width**2 - light.width**2, (0.3 * width) ** 2))
@@ -899,20 +896,6 @@ def fit_window(
     )
 
 
-def _start(window: Window, light: Light) -> Floats:
-    values = np.where(np.isfinite(window.values), np.maximum(window.values, 0.0), 0.0)
-    peak = np.argmax(values, axis=1)
-    height = values.max(axis=1)
-    is_near = np.abs(np.arange(values.shape[1]) - peak[:, None]) <= values.shape[1] / 4
-    # the larger half is doubled, for lamp lines cut off at the edge of the array
-    side = np.arange(values.shape[1]) - peak[:, None]
-    halves = [np.where(is_near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
-    area = height + 2.0 * np.maximum(*halves)
-    observed_width = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
-    camera_width = np.sqrt(np.maximum(observed_width**2 - light.width**2, (0.3 * observed_width) ** 2))
-    return np.column_stack([window.first + peak, camera_width, area, np.zeros_like(area)]).astype(np.float64)
-
-
 def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:
     out = np.empty(window.values.shape)
     distance = window.places - parameters[:, CENTRE, None]
@@ -929,11 +912,13 @@ def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
 # --- fit the wavelength of every element to lamp lines: a smooth surface over bands and columns ------------
 
 
-BAND_DEGREE = 3
-COLUMN_DEGREES = (0, 1, 2, 3, 4)
-_TUKEY_SD = 4.685  # standard deviations beyond which Tukey's biweight gives no weight
+_MAP_FIT = SimpleNamespace(
+    band_degree=3,
+    column_degrees=(0, 1, 2, 3, 4),
+    tukey_sd=4.685,  # standard deviations beyond which Tukey's biweight gives no weight
+    halvings=40,
+)
 _ROUNDS = 20
-_HALVINGS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -963,7 +948,7 @@ class WavelengthMap:
         shape = np.broadcast_shapes(np.shape(wavelength), column.shape)
         low, high = np.full(shape, -0.05 * self.bands - 2.0), np.full(shape, 1.05 * self.bands + 1.0)
         is_rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
-        for _ in range(_HALVINGS):
+        for _ in range(_MAP_FIT.halvings):
             middle = 0.5 * (low + high)
             is_below = (self.at(middle, column) < wavelength) == is_rising
             low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
@@ -991,14 +976,18 @@ def fit_wavelength_map(
     # for the lowest of 0 to 4 that suffices.
     n_wavelengths = len(np.unique(np.round(wavelength, 6)))
     n_columns = len(np.unique(column))
-    degree = min(BAND_DEGREE, n_wavelengths - 2)
+    degree = min(_MAP_FIT.band_degree, n_wavelengths - 2)
     SchemaError.raise_if(
         degree < 1,
         f"lamp lines of {n_wavelengths} wavelengths",
         expected="3 or more for a wavelength map",
         code="lamp-lines-few",
     )
-    degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < n_columns]
+    degrees = (
+        [column_degree]
+        if column_degree is not None
+        else [d for d in _MAP_FIT.column_degrees if d < n_columns]
+    )
     weight = np.ones_like(band)
     if uncertainty is not None:
         # the monochromator's dial limits the accuracy of bright lamp lines, so their weight is limited
@@ -1035,15 +1024,17 @@ def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) 
         sigma = 1.4826 * float(np.median(np.abs(residual)))
         if sigma < 1e-9 or np.abs(coefficients - previous).max() < tolerance:
             break
-        z = residual / (_TUKEY_SD * sigma)
+        z = residual / (_MAP_FIT.tukey_sd * sigma)
         tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
     return coefficients, tukey > 0
 
 
-_MIN_BRIGHT_SHARE = 0.12  # share of a lamp line's height above which a dead element is visible
-_MIN_DEVIATION_SHARE = 0.5  # deviation of a dead element, as a share of its lamp line
-MIN_BIN_SAMPLES = 20
-_CENTRE_STEP_BANDS = 0.01  # [band], step of a derivative
+_SEARCH = SimpleNamespace(
+    min_bright_share=0.12,  # share of a lamp line's height above which a dead element is visible
+    min_deviation_share=0.5,  # deviation of a dead element, as a share of its lamp line
+    min_bin_samples=20,
+    centre_step_bands=0.01,  # [band], step of a derivative
+)
 
 
 def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap) -> Floats:
@@ -1106,7 +1097,9 @@ def deviant_elements(
         if not (lamp_lines.trusted[step].any() or is_at_edge):
             continue
         unit = _unit_lines(lab, window, step, wavelength_map, centre, float(widths[step]), shape)
-        is_bright = np.isfinite(window.values) & (unit > _MIN_BRIGHT_SHARE * unit.max(axis=1, keepdims=True))
+        is_bright = np.isfinite(window.values) & (
+            unit > _SEARCH.min_bright_share * unit.max(axis=1, keepdims=True)
+        )
         is_bright &= (~window.saturated & (is_bright.sum(axis=1) >= 3))[:, None]
         rows = is_bright.any(axis=1)
         if not rows.any():
@@ -1118,7 +1111,9 @@ def deviant_elements(
         noise = 8.0 * np.sqrt(sweep_data.noise.variance(height * unit, float(lab.frames[step])))
         deviation = np.abs(np.where(is_bright, window.values, 0.0) - height * unit)
         is_bright &= noise < np.abs(height) * unit  # elsewhere noise hides a dead element
-        is_deviant = is_bright & (deviation > np.maximum(noise, _MIN_DEVIATION_SHARE * np.abs(height) * unit))
+        is_deviant = is_bright & (
+            deviation > np.maximum(noise, _SEARCH.min_deviation_share * np.abs(height) * unit)
+        )
         band = window.places.astype(np.int64)
         column = np.broadcast_to(window.columns[:, None], band.shape)
         for mask, counter in ((is_deviant, suspect), (is_bright, tested)):
@@ -1159,7 +1154,7 @@ def element_differences(
             _unit_lines(lab, window, step, wavelength_map, centre + centre_shift, float(widths[step]), shape)[
                 is_usable
             ]
-            for centre_shift in (-_CENTRE_STEP_BANDS, 0.0, _CENTRE_STEP_BANDS)
+            for centre_shift in (-_SEARCH.centre_step_bands, 0.0, _SEARCH.centre_step_bands)
         )
         values = window.values[is_usable]
         slope = unit_after - unit_before
@@ -1174,12 +1169,12 @@ def element_differences(
         freedom = 1.0 - first**2 - second**2
         excess = residual**2 - sweep_data.noise.variance(model, float(lab.frames[step])) * freedom
         # samples that are not bright contain scattered light
-        is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)
+        is_bright = model > _SEARCH.min_bright_share * model.max(axis=1, keepdims=True)
         shares.append(excess[is_bright].sum() / (model**2 * freedom)[is_bright].sum())
         tally += binned(
             model[is_bright], *(weight[is_bright] for weight in (model * freedom, model**2 * freedom, excess))
         )
-    is_used = tally[0] >= MIN_BIN_SAMPLES
+    is_used = tally[0] >= _SEARCH.min_bin_samples
     if has_noise:
         return float(np.sqrt(max(float(np.median(shares)), 0.0))) if shares else 0.0, 0.0
     if is_used.sum() < 2:
@@ -1191,12 +1186,14 @@ def element_differences(
     return float(np.sqrt(relative)), float(slope)
 
 
-#: Largest distance of a lamp line from the wavelength map [nm].
-MAX_MISPLACEMENT_NM = 0.5
-#: Largest chi2 relative to the step's median; above, a lamp line contains several dead elements.
-MAX_RELATIVE_CHI2 = 20.0
-#: Largest deviation of a width from the step's median [1].
-MAX_WIDTH_DEVIATION = 0.3
+PLACES = SimpleNamespace(
+    #: Largest distance of a lamp line from the wavelength map [nm].
+    max_misplacement_nm=0.5,
+    #: Largest chi2 relative to the step's median; above, a lamp line contains several dead elements.
+    max_relative_chi2=20.0,
+    #: Largest deviation of a width from the step's median [1].
+    max_width_deviation=0.3,
+)
 
 
 def line_wavelengths(lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats) -> Floats:
@@ -1217,9 +1214,11 @@ def placed_lines(
     width = np.where(lamp_lines.trusted, lamp_lines.camera_width, np.nan)
     median, median_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
     with np.errstate(invalid="ignore"):
-        is_typical = misfit < MAX_RELATIVE_CHI2 * median
-        is_typical &= np.abs(width / median_width - 1.0) < MAX_WIDTH_DEVIATION
-        return np.asarray(is_typical & (distance < max(MAX_MISPLACEMENT_NM, 6.0 * wavelength_map.residual)))
+        is_typical = misfit < PLACES.max_relative_chi2 * median
+        is_typical &= np.abs(width / median_width - 1.0) < PLACES.max_width_deviation
+        return np.asarray(
+            is_typical & (distance < max(PLACES.max_misplacement_nm, 6.0 * wavelength_map.residual))
+        )
 
 
 def band_widths(
@@ -1250,10 +1249,12 @@ def at_steps(lab: LabSweep, wavelength_map: WavelengthMap, values: Floats) -> Fl
     return np.interp(lab.wavelength, centre[order], values[order])
 
 
-#: Minimum visible share of a lamp line's area at the edge [1].
-MIN_VISIBLE_AREA = 0.3
-_MAX_EDGE_RESIDUAL = 0.15  # share of a lamp line's height; a larger residual belongs to another lamp line
-_EDGE_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where it is extrapolated
+EDGES = SimpleNamespace(
+    #: Minimum visible share of a lamp line's area at the edge [1].
+    min_visible_area=0.3,
+    max_edge_residual=0.15,  # share of a lamp line's height; a larger residual belongs to another lamp line
+    edge_width_u=0.005,  # relative uncertainty of the width at the edge, where it is extrapolated
+)
 
 
 def complete_edge_lines(
@@ -1323,17 +1324,19 @@ def _complete_step(
     area_variance = (
         variance_by_noise
         + (change_by_centre * wavelength_map.residual / spacing) ** 2
-        + (change_by_width * _EDGE_WIDTH_U) ** 2
+        + (change_by_width * EDGES.edge_width_u) ** 2
     )
     residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit_profile, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: residuals above noise are dead elements, or another lamp line
     is_complete = (
         is_cut
-        & (visible >= MIN_VISIBLE_AREA)
+        & (visible >= EDGES.min_visible_area)
         & (fitted > 0)
         & np.isfinite(area_variance)
-        & ~(residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])).any(axis=1)
+        & ~(residual > np.maximum(8.0 * np.sqrt(variance), EDGES.max_edge_residual * height[:, None])).any(
+            axis=1
+        )
     )
     index = (step, window.columns[is_complete])
     lamp_lines.area[index] = area[is_complete]
@@ -1509,11 +1512,12 @@ Tick = Callable[[], None]
 #: Sources of a noise model; the third source is the sweep's own statement.
 FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
 
-_MIN_CLIPPED_BANDS = (
-    3  # bands of a column at the highest count of the sweep; a lamp line that is not clipped has one or two
+CLIPPING = SimpleNamespace(
+    #: Bands of a column at the highest count of the sweep; a lamp line that is not clipped has one or two.
+    min_clipped_bands=3,
+    count_tolerance=0.25,
+    min_edge_distance=0.5,  # of a lamp line's centre from the edge of the array [full widths]
 )
-_COUNT_TOLERANCE = 0.25
-_MIN_EDGE_DISTANCE = 0.5  # minimum distance of a lamp line's centre from the edge of the array [full widths]
 _SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
 SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
 
@@ -1566,7 +1570,7 @@ class LampLines:
             self.camera_width_u[index] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
         self.covariance[index] = fits.covariance
         self.chi2[index], self.degrees[index] = fits.chi2, fits.degrees
-        centre, margin = fits.parameters[:, CENTRE], _MIN_EDGE_DISTANCE * fits.width
+        centre, margin = fits.parameters[:, CENTRE], CLIPPING.min_edge_distance * fits.width
         with np.errstate(invalid="ignore"):
             is_inside = (centre >= margin) & (centre <= bands - 1 - margin)
         self.trusted[index] = fits.converged & is_inside & ~window.saturated & np.isfinite(self.area_u[index])
@@ -1624,9 +1628,9 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
     # one highest count that repeats along a column
     if lab.saturation is None:
         highest = np.where(bad, -np.inf, highest)
-        is_highest = highest >= highest.max() - _COUNT_TOLERANCE
+        is_highest = highest >= highest.max() - CLIPPING.count_tolerance
         warn_if(
-            (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any(),
+            (is_highest.sum(axis=0) >= CLIPPING.min_clipped_bands).any(),
             f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
             f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
             "give saturation_count",
