@@ -116,21 +116,6 @@ class Vertical(NamedTuple):
     reference: str  #: ``"ellipsoid"`` or ``"geoid"``, the surface from which heights are measured
 
 
-def vertical_of(crs: Any) -> Vertical | None:
-    # Return the heights of a reference system; None where it has none.
-    #
-    # ``crs``: as in `crs_of`, which reports a system that PROJ does not know.
-    system = _pyproj().CRS.from_user_input(crs)
-    parts = [part for part in system.sub_crs_list if part.is_vertical] or [system]
-    axis = next((axis for axis in parts[0].axis_info if axis.direction in ("up", "down")), None)
-    if axis is None:
-        return None
-    is_ellipsoidal = parts[0].is_geographic or "ellips" in parts[0].name.lower()
-    sign = -1.0 if axis.direction == "down" else 1.0
-    reference = "ellipsoid" if is_ellipsoidal else "geoid"
-    return Vertical(parts[0].name, axis.unit_name, sign * axis.unit_conversion_factor, reference)
-
-
 def utm_zone(latitude: float, longitude: float) -> str:
     """Return the EPSG code of the UTM zone of a position, on WGS 84.
 
@@ -1068,7 +1053,37 @@ def locate(
     boresight = line.attrs.get("boresight", zero) if boresight is None else boresight
     lever_arm = line.attrs.get("lever_arm", zero) if lever_arm is None else lever_arm
     ground = line.attrs.get("ground") if ground is None and dem is None else ground
-    _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
+    problems = Problems("this line cannot be located", SchemaError)
+    for dim in (ALONG_TRACK, CROSS_TRACK):
+        problems.add_if(
+            dim not in line.dims,
+            f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
+            mend=f"isel({dim}=[5]) keeps it, dims= names it",
+            code="dim-missing",
+        )
+    for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
+        try:
+            is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
+        except (TypeError, ValueError):
+            is_valid = False
+        problems.add_if(
+            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
+        )
+    problems.add_if(
+        (ground is None) == (dem is None),
+        "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
+        mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+        code="argument-missing" if dem is None else "option-conflict",
+    )
+    for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
+        is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
+        problems.add_if(
+            number is not None and not is_number,
+            f"{name} {number!r:.80}",
+            expected="a finite number",
+            code="not-finite",
+        )
+    problems.raise_if_any()
     check_interpolation(interpolation, max_gap_s)
     declared = convention_of_line(line, navigation, convention)
     across, along = look_angles(line, camera, declared)
@@ -1117,7 +1132,15 @@ def locate(
     terrain = None if ground is None else float(ground)
     if dem is not None:
         terrain = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
-    chunks = _line_chunks(line)
+    # chunks of the line, or else the chunks that radiometry will use
+    planes = [array for array in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(array.dims)]
+    chunked = [array for array in sorted(planes, key=lambda array: -array.ndim) if array.chunks is not None]
+    samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
+    chunks = (
+        tuple(chunked[0].chunksizes[ALONG_TRACK])
+        if chunked
+        else line_slabs(line.sizes[ALONG_TRACK], lines_a_task(4 * samples, CHUNK_LINES)) or (0,)
+    )
     boresight_angles, lever_arm_m = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
         Swath,
@@ -1173,47 +1196,6 @@ def locate(
 # --- arguments ---------------------------------------------------------------------------------------------
 
 
-def _check(
-    line: xr.Dataset,
-    boresight: Sequence[float],
-    lever_arm: Sequence[float],
-    ground: float | None,
-    dem: xr.DataArray | None,
-    clock_offset_s: float,
-) -> None:
-    problems = Problems("this line cannot be located", SchemaError)
-    for dim in (ALONG_TRACK, CROSS_TRACK):
-        problems.add_if(
-            dim not in line.dims,
-            f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
-            mend=f"isel({dim}=[5]) keeps it, dims= names it",
-            code="dim-missing",
-        )
-    for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
-        try:
-            is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
-        except (TypeError, ValueError):
-            is_valid = False
-        problems.add_if(
-            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
-        )
-    problems.add_if(
-        (ground is None) == (dem is None),
-        "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
-        mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
-        code="argument-missing" if dem is None else "option-conflict",
-    )
-    for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
-        is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        problems.add_if(
-            number is not None and not is_number,
-            f"{name} {number!r:.80}",
-            expected="a finite number",
-            code="not-finite",
-        )
-    problems.raise_if_any()
-
-
 # --- poses -------------------------------------------------------------------------------------------------
 
 
@@ -1244,18 +1226,6 @@ def _poses(
 
 
 # --- places ------------------------------------------------------------------------------------------------
-
-
-def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    # Return the chunks of the line, or else the chunks that radiometry will use.
-    for array in sorted(
-        [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)],
-        key=lambda v: -v.ndim,
-    ):
-        if array.chunks is not None:
-            return tuple(array.chunksizes[ALONG_TRACK])
-    samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
-    return line_slabs(line.sizes[ALONG_TRACK], lines_a_task(4 * samples, CHUNK_LINES)) or (0,)
 
 
 def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
@@ -1383,7 +1353,17 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     crs, vertical = "", None
     if crs_texts:
         crs = crs_of(crs_texts[0])
-        vertical = vertical_of(crs_texts[0])
+        # the heights of the reference system; None where it has none
+        system = _pyproj().CRS.from_user_input(crs_texts[0])
+        parts = [part for part in system.sub_crs_list if part.is_vertical] or [system]
+        axis = next((axis for axis in parts[0].axis_info if axis.direction in ("up", "down")), None)
+        if axis is None:
+            vertical = None
+        else:
+            is_ellipsoidal = parts[0].is_geographic or "ellips" in parts[0].name.lower()
+            sign = -1.0 if axis.direction == "down" else 1.0
+            reference = "ellipsoid" if is_ellipsoidal else "geoid"
+            vertical = Vertical(parts[0].name, axis.unit_name, sign * axis.unit_conversion_factor, reference)
     # the unit of heights, by the raster or else by its reference system
     metres = 1.0 if vertical is None else vertical.metres
     if "units" in dem.attrs:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import getitem
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import dask
@@ -767,12 +768,14 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
 LEVELLED_BY = ("hits", "quality")  # planes needed besides the spectra
 
 
-# every second row and column is used: neighbouring cells are redundant
-_LEVELLING_STEP = 2
-_MIN_OVERLAP_CELLS = 20  # cells of a tile in which two lines must overlap
-# standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964)
-_HUBER_SD = 1.345
-_FIT_ROUNDS = 20
+_LEVELLING = SimpleNamespace(
+    # every second row and column is used: neighbouring cells are redundant
+    levelling_step=2,
+    min_overlap_cells=20,  # cells of a tile in which two lines must overlap
+    # standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964)
+    huber_sd=1.345,
+    fit_rounds=20,
+)
 
 
 def overlap_factors(
@@ -842,14 +845,16 @@ def _ratios(recipes: dict[int, Recipe]) -> list[tuple[int, int, Floats, Floats]]
     # NaN where there are too few cells.
     logs = {}
     for number, recipe in recipes.items():
-        hits, quality, cube = (values[::_LEVELLING_STEP, ::_LEVELLING_STEP] for values in recipe())
+        hits, quality, cube = (
+            values[:: _LEVELLING.levelling_step, :: _LEVELLING.levelling_step] for values in recipe()
+        )
         is_good = ((hits > 0) & (quality == 0))[..., None] & (cube > 0.0)
         logs[number] = np.log(np.where(is_good, cube, np.nan))
     ratios = []
     for first, second in itertools.combinations(logs, 2):
         difference = (logs[first] - logs[second]).reshape(-1, logs[first].shape[2])
         cells = np.isfinite(difference).sum(axis=0)
-        is_enough = cells >= _MIN_OVERLAP_CELLS
+        is_enough = cells >= _LEVELLING.min_overlap_cells
         if is_enough.any():
             median = np.full(cells.shape, np.nan)
             median[is_enough] = np.nanmedian(difference[:, is_enough], axis=0)
@@ -860,11 +865,11 @@ def _ratios(recipes: dict[int, Recipe]) -> list[tuple[int, int, Floats, Floats]]
 def _robust_fit(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
     # Return logarithms of factors (line,), whose mean is 0 over connected lines.
     huber_weights = np.ones_like(observed)
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(_LEVELLING.fit_rounds):
         scaled = (weights * np.sqrt(huber_weights))[:, None]
         solution = np.linalg.lstsq(scaled * incidence, scaled[:, 0] * observed, rcond=1e-9)[0]
         residuals = np.abs(observed - incidence @ solution)
-        limit = _HUBER_SD * max(1.4826 * float(np.median(residuals)), 1e-6)
+        limit = _LEVELLING.huber_sd * max(1.4826 * float(np.median(residuals)), 1e-6)
         huber_weights = limit / np.maximum(residuals, limit)
     return np.asarray(solution)
 

@@ -11,6 +11,7 @@ import math
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import dask
@@ -192,9 +193,11 @@ def tile_array(
 # --- the survey of all lines ---------------------------------------------------------------------------
 
 
-_DIRECTION_LINES = 64  # sampled for the direction of flight
-_SAMPLED_COLUMNS = 64  # minimum number sampled for the median spacing of a line
-_TASK_SLABS = 8
+_DIRECTION = SimpleNamespace(
+    direction_lines=64,  # sampled for the direction of flight
+    sampled_columns=64,  # minimum number sampled for the median spacing of a line
+    task_slabs=8,
+)
 _COLUMNS = 10  # numbers of a line: box (4), ends (4), median spacing across and along (2)
 
 
@@ -228,7 +231,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
     # The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide
     # has no direction; the normal of the lines is used instead.
     count = east.shape[0]
-    sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION_LINES).astype(int))
+    sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION.direction_lines).astype(int))
     first_lines = np.cumsum((0, *east.chunks[0]))
     for lines in (sampled_lines, np.arange(count)):  # all lines, if the sampled lines have no pose
         # east and north of the first and last located pixel of every line (line, 2, 2)
@@ -264,7 +267,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     #
     # Raises `SchemaError`: No pixel has a ground position.
     slabs = range(east.numblocks[0])
-    groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
+    groups = [list(slabs[first : first + _DIRECTION.task_slabs]) for first in slabs[:: _DIRECTION.task_slabs]]
     surveyed = _computed_survey(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
     for (_, (_, last_pixels)), (_, (first_pixels, _)), start in zip(
@@ -327,7 +330,7 @@ def _survey_of_slabs(easts: list[Floats], norths: list[Floats], axes: Axes) -> A
     for east, north in zip(easts, norths, strict=True):
         look_at_lines(east, north, frame, out[start : start + len(east)])
         start += len(east)
-    step = max(1, easts[0].shape[1] // _SAMPLED_COLUMNS)
+    step = max(1, easts[0].shape[1] // _DIRECTION.sampled_columns)
     sampled, next_columns = (
         np.stack([np.concatenate([part[:, first::step] for part in parts]) for parts in (easts, norths)])
         for first in (0, 1)
@@ -849,7 +852,14 @@ def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
 
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
-_RELIEF = ("ground_height", "view_zenith")
+_TILING = SimpleNamespace(
+    relief=("ground_height", "view_zenith"),
+    # Largest relative shift of neighbouring pixels by their heights without hidden ground [spacing across].
+    # On a visible wall it is 1, whatever its height. With 1.25, a sixth of the hidden cells behind cars is
+    # shown; with 0.6, as many as with 1.05, and more visible ground is lost (support/hidden_ground.py).
+    max_parallax_px=1.05,
+    max_tiles=100_000,  # a larger graph takes minutes and gigabytes before anything is computed
+)
 # dim of the flight line along which positions are counted
 _AXES = {
     "glt_line": ALONG_TRACK,
@@ -857,12 +867,7 @@ _AXES = {
     "glt_sample": CROSS_TRACK,
     "nearest_sample": CROSS_TRACK,
 }
-# Largest relative shift of neighbouring pixels by their heights without hidden ground [spacing across].
-# On a visible wall it is 1, whatever its height. With 1.25, a sixth of the hidden cells behind
-# cars is shown; with 0.6, as many as with 1.05, and more visible ground is lost (support/hidden_ground.py).
-_MAX_PARALLAX_PX = 1.05
 _MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
-_MAX_TILES = 100_000  # a larger graph takes minutes and gigabytes before anything is computed
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m", bounds="m")
@@ -1038,9 +1043,9 @@ def orthorectify(
     rows, cols = cells.shape
     count = -(-rows // tile) * -(-cols // tile)
     SchemaError.raise_if(
-        count > _MAX_TILES,
+        count > _TILING.max_tiles,
         f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
-        expected=f"at most {_MAX_TILES}",
+        expected=f"at most {_TILING.max_tiles}",
         mend="give a larger gsd, bounds, or a larger tile",
         code="map-too-large",
     )
@@ -1052,7 +1057,7 @@ def orthorectify(
         RULES.index(multi_hit),
         max_stretch * max(1.0, survey.gsd / cells.gsd),
         line.sizes[ALONG_TRACK] - 1,
-        _MAX_PARALLAX_PX * survey.across,
+        _TILING.max_parallax_px * survey.across,
         np.stack([ends[:-1, 0], ends[:-1, 1], ends[1:, 1], ends[1:, 0]], axis=1),
     )
     slabs = needed_slabs(survey, cells, lines, windows)
@@ -1095,9 +1100,9 @@ def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array]
     # a line located on level ground has its height as an attribute
     is_level = isinstance(line.attrs.get("ground"), int | float)
     relief = []
-    if not is_level and set(_RELIEF) <= set(line.variables):
-        surface = require(line, _RELIEF, "a map without hidden ground")
-        height, zenith = (in_slabs(surface[name], lines).astype(np.float64) for name in _RELIEF)
+    if not is_level and set(_TILING.relief) <= set(line.variables):
+        surface = require(line, _TILING.relief, "a map without hidden ground")
+        height, zenith = (in_slabs(surface[name], lines).astype(np.float64) for name in _TILING.relief)
         relief = [height, np.tan(np.radians(zenith))]
     positions = [in_slabs(coordinate, lines).astype(np.float64) for coordinate in coordinates.values()]
     is_lazy = any(coordinate.chunks is not None for coordinate in coordinates.values())

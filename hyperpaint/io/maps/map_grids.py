@@ -22,8 +22,9 @@ import threading
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -65,18 +66,18 @@ _GRID_KEYWORDS = (
     b"dy",
 )
 
-MAX_RASTER_BYTES = 2**40
-MAX_PRJ_BYTES = 2**16
-MAX_AUX_BYTES = 2**20
+_SIZES = SimpleNamespace(
+    max_raster_bytes=2**40,
+    max_prj_bytes=2**16,
+    max_aux_bytes=2**20,
+    # Maximum number of cells of a raster that is read completely; from a larger raster, a window is read.
+    max_whole_cells=2**24,
+    # Maximum number of cells of a window: half a gigabyte with all derived arrays.
+    max_window_cells=2**25,
+    # Largest block, tile or strip, which GDAL decodes completely even for one cell [byte].
+    max_block_bytes=2**27,
+)
 
-# Maximum number of cells of a raster that is read completely; from a larger raster, a window is read.
-MAX_WHOLE_CELLS = 2**24
-
-# Maximum number of cells of a window: half a gigabyte with all derived arrays.
-MAX_WINDOW_CELLS = 2**25
-
-# Largest block, tile or strip, which GDAL decodes completely even for one cell [byte].
-MAX_BLOCK_BYTES = 2**27
 
 #: No files beside the raster are searched, and no URLs are fetched.
 _ENVIRONMENT = {
@@ -99,7 +100,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     # Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other
     # files; or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio
     # is not installed.
-    with open_input(path, "a raster", MAX_RASTER_BYTES) as file:
+    with open_input(path, "a raster", _SIZES.max_raster_bytes) as file:
         first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
     driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
     driver = driver or ("AAIGrid" if first_bytes.lower().startswith(_GRID_KEYWORDS) else "")
@@ -112,7 +113,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     )
     for prj in (os.path.splitext(full_path)[0] + suffix for suffix in (".prj", ".PRJ")):
         if driver == "AAIGrid" and os.path.lexists(prj):
-            open_input(prj, "the crs of an ASCII grid", MAX_PRJ_BYTES).close()
+            open_input(prj, "the crs of an ASCII grid", _SIZES.max_prj_bytes).close()
     with needs_extra("rasterio", "geo", purpose):
         import rasterio
         from rasterio._err import CPLE_BaseError
@@ -137,15 +138,14 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
-    # Return a height raster (y, x); from a large raster, the window around a flight.
-    # path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes
-    # [degree] and heights [m] of the flight, (time,) each: a raster of more than `MAX_WHOLE_CELLS` cells is
-    # read only within four times the flight height above ground.
-    # Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
-    # applied, with coordinates of the cells' centres and `spatial_ref`. Raises FormatError: As `open_raster`;
-    # it has several bands, is rotated, lacks crs, transform or metadata in a file beside it, has blocks over
-    # `MAX_BLOCK_BYTES`, or needs a window of too many cells. Raises SchemaError: It is large, and the
-    # position of the flight is unknown.
+    # Return a height raster (y, x); from a large raster, the window around a flight. path: A GeoTIFF, a grid
+    # of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes [degree] and heights [m] of
+    # the flight, (time,) each: a raster of more than `_SIZES.max_whole_cells` cells is read only within four
+    # times the flight height above ground. Returns float32, or float64 where float32 is too narrow: NaN in
+    # holes, scale and offset of the file applied, with coordinates of the cells' centres and `spatial_ref`.
+    # Raises FormatError: As `open_raster`; it has several bands, is rotated, lacks crs, transform or metadata
+    # in a file beside it, has blocks over `_SIZES.max_block_bytes`, or needs a window of too many cells.
+    # Raises SchemaError: It is large, and the position of the flight is unknown.
     with open_raster(path, "opening a DEM") as raster:
         from rasterio.enums import MaskFlags
 
@@ -159,7 +159,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
             "a transform": raster.transform.is_identity,
             "a crs": raster.crs is None,
         }
-        aux = head_of(f"{full_path}.aux.xml", MAX_AUX_BYTES)
+        aux = head_of(f"{full_path}.aux.xml", _SIZES.max_aux_bytes)
         files_by_item = {
             item: f"{full_path}.aux.xml"
             for element, item in _POSITION_ELEMENTS.items()
@@ -219,16 +219,16 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 "not-finite",
             ),
             (
-                block_bytes > MAX_BLOCK_BYTES,
+                block_bytes > _SIZES.max_block_bytes,
                 f": blocks of {block_rows} x {block_columns} cells, {block_bytes} bytes, read completely for "
                 "each cell",
-                f"at most {MAX_BLOCK_BYTES}",
+                f"at most {_SIZES.max_block_bytes}",
                 "gdal_translate -co TILED=YES in.tif out.tif",
                 "file-too-large",
             ),
         ):
             FormatError.raise_if(is_wrong, f"{path}{found}", expected=expected, mend=mend, code=code)
-        is_large = raster.height * raster.width > MAX_WHOLE_CELLS
+        is_large = raster.height * raster.width > _SIZES.max_whole_cells
         whole = (0, raster.height), (0, raster.width)
         rows, columns = _window(raster, path, around) if is_large else whole
         values = _read_cells(raster, rows, columns)
@@ -277,11 +277,13 @@ def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) ->
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
 
-# Cells are read up to this distance from the flight [heights above ground]: 76 degrees off nadir.
-_WINDOW_HEIGHTS = 4.0
-# Additional border on each side [cell].
-_BORDER_CELLS = 64
-_TRACK_POINTS = 257
+_WINDOW = SimpleNamespace(
+    # Cells are read up to this distance from the flight [heights above ground]: 76 degrees off nadir.
+    window_heights=4.0,
+    # Additional border on each side [cell].
+    border_cells=64,
+    track_points=257,
+)
 
 
 def _window(
@@ -301,13 +303,13 @@ def _window(
             mend="cut out the area of the flight",
             code="positions-missing",
         )
-    if raster.crs is None:
-        raise FormatError(
-            f"{subject}, and no crs to find the flight in it",
-            mend="declare it with gdal_edit -a_srs",
-            code="crs-missing",
-        )
-    longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
+    FormatError.raise_if(
+        raster.crs is None,
+        f"{subject}, and no crs to find the flight in it",
+        mend="declare it with gdal_edit -a_srs",
+        code="crs-missing",
+    )
+    longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _WINDOW.track_points)]
     with FormatError.instead_of(
         (CPLE_BaseError, CRSError, RasterioError),
         f"{subject}, and positions cannot be converted to its crs ($error)",
@@ -335,7 +337,7 @@ def _window(
     lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
     height_above_ground = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
     units_per_metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
-    reach = _WINDOW_HEIGHTS * height_above_ground * units_per_metre
+    reach = _WINDOW.window_heights * height_above_ground * units_per_metre
     longitude_factor = (
         1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
     )
@@ -344,13 +346,13 @@ def _window(
         (row, raster.height, reach / abs(raster.transform.e)),
         (column, raster.width, reach * longitude_factor / abs(raster.transform.a)),
     ):
-        first = max(int(values.min() - cells) - _BORDER_CELLS, 0)
-        ranges.append((first, min(int(values.max() + cells) + _BORDER_CELLS + 1, size)))
+        first = max(int(values.min() - cells) - _WINDOW.border_cells, 0)
+        ranges.append((first, min(int(values.max() + cells) + _WINDOW.border_cells + 1, size)))
     (top, bottom), (left, right) = ranges
     FormatError.raise_if(
-        (bottom - top) * (right - left) > MAX_WINDOW_CELLS,
+        (bottom - top) * (right - left) > _SIZES.max_window_cells,
         f"{subject}, {bottom - top} x {right - left} of them around this flight",
-        expected=f"at most {MAX_WINDOW_CELLS} in all",
+        expected=f"at most {_SIZES.max_window_cells} in all",
         mend="resample it with gdalwarp -tr",
         code="file-too-large",
     )
@@ -445,11 +447,6 @@ class Grid:
         # Whether rows and columns form a mirror image of the ground as seen from above.
         _, b, c, _, e, f = self.transform
         return b * f - c * e > 0.0
-
-    def flipped(self, rows: int) -> Grid:
-        # Return the grid with the order of its rows reversed.
-        a, b, c, d, e, f = self.transform
-        return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
 
 
 def grid_of(dataset: xr.Dataset) -> Grid | None:
