@@ -120,12 +120,6 @@ _MIN_BANDS, _MAX_CELLS = 3, 4_000_000
 _MAX_SHOWN_ROWS = 5
 
 
-def is_sample_table(head: str) -> bool:
-    # Return whether a text begins as a table of EcoSIS or SPECCHIO.
-    lines = [line for line in head.splitlines() if line.strip() and not line.startswith("#")]
-    return bool(lines) and (_cells(lines[0])[0].lower() in _FIRST_KEYS or _bands(lines) is not None)
-
-
 def _bands(lines: Sequence[str]) -> Bools | None:
     # Return which columns of a row a spectrum are wavelengths by their headings; None for other tables.
     cells = _cells(lines[0])
@@ -172,7 +166,35 @@ def read_sample_table(
         rows = list(csv.reader([line for _, line in lines], delimiter=separator))
     is_band = _bands([line for _, line in lines])
     if is_transposed := is_band is None:
-        rows = _transposed(rows, source)
+        # A table of SPECCHIO becomes one of a row a spectrum. Its texts may contain commas,
+        # so that a row of a property may have more cells than there are spectra.
+        band_rows = sorted(
+            ((band_nm, row) for row in rows if row and (band_nm := _nm(row[0])) is not None),
+            key=lambda b: b[0],
+        )
+        fields = [row for row in rows if row and row[0].strip() and _nm(row[0]) is None]
+        count = len(band_rows[0][1]) - 1 if band_rows else 0
+        refuse(
+            source,
+            (
+                len(band_rows) < _MIN_BANDS
+                or count < 1
+                or any(len(row) != count + 1 for _, row in band_rows),
+                Problem(
+                    f"{len(band_rows)} rows of wavelengths, not all with {count} values",
+                    expected="a value for each spectrum",
+                    code="row-unreadable",
+                ),
+            ),
+        )
+        fields = [
+            [
+                row[0],
+                *(row[1:] if len(row) == count + 1 else [", ".join(row[1:])] if count == 1 else [""] * count),
+            ]
+            for row in fields
+        ]
+        rows = [list(column) for column in zip(*fields, *(row for _, row in band_rows), strict=True)]
         is_band = np.array([_nm(heading) is not None for heading in rows[0]])
     assert is_band is not None
     bands, others = np.flatnonzero(is_band).tolist(), np.flatnonzero(~is_band).tolist()
@@ -244,33 +266,6 @@ def read_sample_table(
         columns=_columns(properties),
         notes=[note] if note else [],
     )
-
-
-def _transposed(rows: Sequence[list[str]], source: str) -> list[list[str]]:
-    # Return a table of SPECCHIO as one of a row a spectrum. Its texts may contain commas,
-    # so that a row of a property may have more cells than there are spectra.
-    bands = sorted(((nm, row) for row in rows if row and (nm := _nm(row[0])) is not None), key=lambda b: b[0])
-    fields = [row for row in rows if row and row[0].strip() and _nm(row[0]) is None]
-    count = len(bands[0][1]) - 1 if bands else 0
-    refuse(
-        source,
-        (
-            len(bands) < _MIN_BANDS or count < 1 or any(len(row) != count + 1 for _, row in bands),
-            Problem(
-                f"{len(bands)} rows of wavelengths, not all with {count} values",
-                expected="a value for each spectrum",
-                code="row-unreadable",
-            ),
-        ),
-    )
-    fields = [
-        [
-            row[0],
-            *(row[1:] if len(row) == count + 1 else [", ".join(row[1:])] if count == 1 else [""] * count),
-        ]
-        for row in fields
-    ]
-    return [list(column) for column in zip(*fields, *(row for _, row in bands), strict=True)]
 
 
 def _shared_words(properties: dict[str, list[str]], pattern: re.Pattern[str]) -> str:
@@ -542,11 +537,41 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         elif is_usgs(head):
             library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))
         else:
+            # a text may begin as a table of EcoSIS or SPECCHIO
+            rows = [row for row in head.splitlines() if row.strip() and not row.startswith("#")]
+            is_sample_table = rows and (_cells(rows[0])[0].lower() in _FIRST_KEYS or _bands(rows) is not None)
             if re.match(r"\s*Name\s*:", head) and "Number of X Values" in head:
                 spectra = read_ecostress(path, scale=scale, wavelength=nm)
             elif form_of("\n".join(head.splitlines())) is not None:
-                spectra = _of_instrument(path, options)
-            elif is_sample_table(head):
+                # A column that the file does not name is reflectance only where the caller says so, or gives
+                # its scale.
+                text = read_spectrum_text(path)
+                column = text.column("reflectance")
+                is_declared = options.is_reflectance or options.scale is not None
+                is_named = column.heading == RATIO or any(c.quantity == "reflectance" for c in text.columns)
+                FormatError.raise_if(
+                    not (is_named or is_declared),
+                    f"{path.name}: {text.instrument} text that does not say what its spectrum is",
+                    expected="reflectance",
+                    mend="pass quantity='reflectance', with scale=100 for percent; hp.open_irradiance opens "
+                    "irradiance",
+                    code="quantity-ambiguous",
+                )
+                values = reflectances(
+                    column.values[None, :],
+                    path.name,
+                    file_scale={"%": 100.0, "1": 1.0, "1.0": 1.0}.get(column.units),
+                    scale=options.scale,
+                    is_reflectance=options.is_reflectance,
+                )
+                spectra = Spectra(
+                    source=path.name,
+                    form=f"{text.instrument} text",
+                    names=[path.stem],
+                    wavelength=text.wavelength if options.wavelength is None else options.wavelength,
+                    reflectance=values,
+                )
+            elif is_sample_table:
                 spectra = read_sample_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             else:
                 spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
@@ -560,36 +585,6 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
     if not is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
     return library
-
-
-def _of_instrument(path: Path, options: _Options) -> Spectra:
-    # Reflectance in a text of a spectrometer. A column that the file does not name is reflectance only where
-    # the caller says so, or gives its scale.
-    text = read_spectrum_text(path)
-    column = text.column("reflectance")
-    is_declared = options.is_reflectance or options.scale is not None
-    is_named = column.heading == RATIO or any(c.quantity == "reflectance" for c in text.columns)
-    FormatError.raise_if(
-        not (is_named or is_declared),
-        f"{path.name}: {text.instrument} text that does not say what its spectrum is",
-        expected="reflectance",
-        mend="pass quantity='reflectance', with scale=100 for percent; hp.open_irradiance opens irradiance",
-        code="quantity-ambiguous",
-    )
-    values = reflectances(
-        column.values[None, :],
-        path.name,
-        file_scale={"%": 100.0, "1": 1.0, "1.0": 1.0}.get(column.units),
-        scale=options.scale,
-        is_reflectance=options.is_reflectance,
-    )
-    return Spectra(
-        source=path.name,
-        form=f"{text.instrument} text",
-        names=[path.stem],
-        wavelength=text.wavelength if options.wavelength is None else options.wavelength,
-        reflectance=values,
-    )
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:

@@ -40,7 +40,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import NoneType
+from types import NoneType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -103,26 +103,24 @@ OWN_AXES = (
     "{} is a library of hyperpaint with its own axes and scale: leave wavelength=, fwhm= and scale= out"
 )
 
-#: Maximum median of reflectance as a fraction: a white panel has 1.
-_MAX_MEDIAN = 1.1
-
-_BRIGHT = 1.2
-#: Maximum share of values above `_BRIGHT` in reflectance: noise in opaque bands of air has 0.05, the
-#: brightest of the 2457 spectra of splib07 has 0.01, radiance of a lawn in uW cm-2 sr-1 nm-1 has 0.5.
-_MAX_BRIGHT_SHARE = 0.1
-
-#: Minimum of the largest value of a file; below it the scale is doubtful: black coats reach 0.02 to 0.05.
-_MIN_BRIGHTEST = 0.01
-
-#: Stored values that mark missing samples.
-_MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
-
-#: Minimum reflectance with noise [1]: lower values mark missing samples.
-_MIN_REFLECTANCE = -0.5
-
-#: Maximum of fill values: deleted points of USGS spectra are -1.23e34, and fractions of it in spectra
-#: convolved to another spectrometer.
-_MAX_FILL_VALUE = -1e20
+_PLAUSIBLE = SimpleNamespace(
+    #: Maximum median of reflectance as a fraction: a white panel has 1.
+    max_median=1.1,
+    bright=1.2,
+    #: Maximum share of values above `_PLAUSIBLE.bright` in reflectance: noise in opaque bands of air has
+    #: 0.05, the brightest of the 2457 spectra of splib07 has 0.01, radiance of a lawn in uW cm-2 sr-1 nm-1
+    #: has 0.5.
+    max_bright_share=0.1,
+    #: Minimum of the largest value of a file; below it the scale is doubtful: black coats reach 0.02 to 0.05.
+    min_brightest=0.01,
+    #: Stored values that mark missing samples.
+    missing_values=(-999.0, -9999.0, -99999.0, -32768.0),
+    #: Minimum reflectance with noise [1]: lower values mark missing samples.
+    min_reflectance=-0.5,
+    #: Maximum of fill values: deleted points of USGS spectra are -1.23e34, and fractions of it in spectra
+    #: convolved to another spectrometer.
+    max_fill_value=-1e20,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +231,7 @@ def reflectances(
     # Warns PaintWarning: Values far below 0 were taken for missing; or the scale is doubtful.
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
-        is_fill = values < _MAX_FILL_VALUE
+        is_fill = values < _PLAUSIBLE.max_fill_value
     if ignore is not None:
         # compared in the stored dtype: a float32 file holds the float32 nearest to the number in its header
         with np.errstate(over="ignore"):
@@ -241,20 +239,60 @@ def reflectances(
     values[is_fill] = np.nan
     divisor = scale if scale is not None else file_scale
     with np.errstate(over="ignore"):
-        far_below = np.isfinite(values) & (values < _MIN_REFLECTANCE * (divisor or 1.0))
-        is_missing = np.isin(values, _MISSING_VALUES) | far_below
+        far_below = np.isfinite(values) & (values < _PLAUSIBLE.min_reflectance * (divisor or 1.0))
+        is_missing = np.isin(values, _PLAUSIBLE.missing_values) | far_below
     if is_missing.any():
         count, example = int(is_missing.sum()), float(values[is_missing][0])
         msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
         warn_user(msg, "values-far-below-zero")
         values[is_missing] = np.nan
     if divisor is None:
-        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
+        max_bright_share = _PLAUSIBLE.max_bright_share if not is_reflectance else 1.0
+        # values without a scale must be fractions; if only few spectra are not, warn
+        finite = np.isfinite(values)
+        magnitudes = np.abs(values[finite])
+        advice = (
+            "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 if values "
+            "are fractions"
+        )
+        if magnitudes.size and float(np.median(magnitudes)) > _PLAUSIBLE.max_median:
+            raise FormatError(
+                f"{source}: values up to {magnitudes.max():g}, half of them above "
+                f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
+                expected="reflectance as a fraction",
+                mend=advice,
+                code="scale-missing",
+            )
+        with np.errstate(invalid="ignore"):
+            is_bright = (np.abs(values) > _PLAUSIBLE.bright).sum(axis=1) > max_bright_share * np.maximum(
+                finite.sum(axis=1), 1
+            )
+        if 2 * is_bright.sum() > len(values):
+            raise FormatError(
+                f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_PLAUSIBLE.bright:g} "
+                "(radiance?)",
+                expected="reflectance as a fraction",
+                mend=f"{advice} (for a text: quantity='reflectance')",
+                code="scale-missing",
+            )
+        is_bright = is_bright | [
+            bool(is_finite.any()) and float(np.median(spectrum[is_finite])) > _PLAUSIBLE.max_median
+            for spectrum, is_finite in zip(values, finite, strict=True)
+        ]
+        if is_bright.any():
+            msg = (
+                f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
+                f"{_PLAUSIBLE.max_median:g}, up to {magnitudes.max():g}, and no scale; {advice}"
+            )
+            warn_user(msg, "scale-missing")
     elif divisor != 1.0:
         values /= divisor
         finite = values[np.isfinite(values)]
-        # the scale is doubtful if many values exceed `_BRIGHT`, or all are near 0
-        if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
+        # the scale is doubtful if many values exceed `_PLAUSIBLE.bright`, or all are near 0
+        if finite.any() and (
+            (finite > _PLAUSIBLE.bright).mean() > _PLAUSIBLE.max_bright_share
+            or finite.max() < _PLAUSIBLE.min_brightest
+        ):
             msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
             warn_user(msg, "scale-doubtful")
     with np.errstate(over="ignore"):
@@ -265,44 +303,6 @@ def reflectances(
             f"{source}: values up to {largest:g}", expected="finite reflectance", code="not-finite"
         )
     return reflectance
-
-
-def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
-    # Raise if values without a scale are not fractions; warn if only few spectra are not
-    finite = np.isfinite(values)
-    magnitudes = np.abs(values[finite])
-    advice = (
-        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 if values are fractions"
-    )
-    if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
-        raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, half of them above "
-            f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
-            expected="reflectance as a fraction",
-            mend=advice,
-            code="scale-missing",
-        )
-    with np.errstate(invalid="ignore"):
-        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > max_bright_share * np.maximum(
-            finite.sum(axis=1), 1
-        )
-    if 2 * is_bright.sum() > len(values):
-        raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
-            expected="reflectance as a fraction",
-            mend=f"{advice} (for a text: quantity='reflectance')",
-            code="scale-missing",
-        )
-    is_bright = is_bright | [
-        bool(is_finite.any()) and float(np.median(spectrum[is_finite])) > _MAX_MEDIAN
-        for spectrum, is_finite in zip(values, finite, strict=True)
-    ]
-    if is_bright.any():
-        msg = (
-            f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
-            f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
-        )
-        warn_user(msg, "scale-missing")
 
 
 # --- records -----------------------------------------------------------------------------------------------
@@ -599,7 +599,30 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
         for part in ("coords", "data_vars"):
             for name, entry in document[part].items():
                 try:
-                    document[part][name] = _decoded(name, entry)
+                    # A variable for `xarray.Dataset.from_dict`
+                    dims, attrs = entry["dims"], dict(entry["attrs"])
+                    if (
+                        len(set(dims)) != len(dims)
+                        or len(dims) > _MAX_DIMS
+                        or not all(isinstance(dim, str) for dim in dims)
+                    ):
+                        raise ValueError("expected distinct dims")
+                    if "data" in entry:
+                        nested = np.array(entry["data"], object)
+                        if nested.ndim != len(dims) or any(isinstance(value, list) for value in nested.flat):
+                            raise ValueError("expected nested lists of equal lengths, one level per dim")
+                        values = typed_values(nested.ravel().tolist(), entry["dtype"]).reshape(nested.shape)
+                    else:
+                        # only spectra lack values; an axis without values would fill the memory
+                        if not (
+                            {SIGNATURE, BAND} <= {*dims}
+                            and all(type(s) is int and 0 <= s < 2**31 for s in entry["shape"])
+                        ):
+                            raise ValueError("expected values, or a spectrum with sizes from 0 to 2147483647")
+                        values = np.broadcast_to(np.float32(np.nan), entry["shape"])
+                    if name == "quality":
+                        attrs["flag_masks"] = quality_attrs()["flag_masks"]
+                    document[part][name] = {"dims": dims, "attrs": attrs, "data": values}
                 except (LookupError, TypeError, ValueError, OverflowError) as error:
                     problems.add(f"{name[:60]!r}: {error!s:.100}", code="metadata-damaged")
         if not len(problems):
@@ -631,28 +654,6 @@ def _upgraded(document: dict[str, Any], sizes: Mapping[str, int]) -> dict[str, A
         key: 2 if key == VERSION_NAME and value == 1 else value for key, value in document["attrs"].items()
     }
     return {"attrs": attrs, **parts}
-
-
-def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
-    # A variable for `xarray.Dataset.from_dict`
-    dims, attrs = entry["dims"], dict(entry["attrs"])
-    if len(set(dims)) != len(dims) or len(dims) > _MAX_DIMS or not all(isinstance(dim, str) for dim in dims):
-        raise ValueError("expected distinct dims")
-    if "data" in entry:
-        nested = np.array(entry["data"], object)
-        if nested.ndim != len(dims) or any(isinstance(value, list) for value in nested.flat):
-            raise ValueError("expected nested lists of equal lengths, one level per dim")
-        values = typed_values(nested.ravel().tolist(), entry["dtype"]).reshape(nested.shape)
-    else:
-        # only spectra lack values; an axis without values would fill the memory with its index
-        if not (
-            {SIGNATURE, BAND} <= {*dims} and all(type(s) is int and 0 <= s < 2**31 for s in entry["shape"])
-        ):
-            raise ValueError("expected values, or a spectrum with sizes from 0 to 2147483647")
-        values = np.broadcast_to(np.float32(np.nan), entry["shape"])
-    if name == "quality":
-        attrs["flag_masks"] = quality_attrs()["flag_masks"]
-    return {"dims": dims, "attrs": attrs, "data": values}
 
 
 def typed_values(flat: list[Any], dtype: str) -> Array:
@@ -833,18 +834,22 @@ PERCENT = re.compile(r"per ?cent|pct|%", re.IGNORECASE)
 _OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
 _ANGSTROM = re.compile(r"\b(?:angstroms?|Å)\b", re.IGNORECASE)
 _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|[GT]Hz)\b", re.IGNORECASE)
-#: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
-#: radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in thirty real
-#: libraries of reflectance the maximum is 0.023.
-_MIN_OXYGEN_DEPTH = 0.1
-#: Maximum spacing of wavelengths at which this depth is judged [nm].
-_OXYGEN_STEP_NM = 6.0
-#: Maximum median ratio of a third column to the second [1] by which a third column without a heading is a
-#: standard deviation. A real lawn has 0.2. Two paints below this ratio need headings.
-_MAX_SPREAD_RATIO = 0.5
-#: Maximum share of wavelengths that occur again in rows that are not adjacent [1], by which they come from
-#: overlapping detectors: 0.002 in exports of SVC; two spectra, one below the other, have 0.5.
-_MAX_REPEATS = 0.05
+_TABLE = SimpleNamespace(
+    #: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
+    #: radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in thirty
+    #: real libraries of reflectance the maximum is 0.023.
+    min_oxygen_depth=0.1,
+    #: Maximum spacing of wavelengths at which this depth is judged [nm].
+    oxygen_step_nm=6.0,
+    #: Maximum median ratio of a third column to the second [1] by which a third column without a heading is a
+    #: standard deviation. A real lawn has 0.2. Two paints below this ratio need headings.
+    max_spread_ratio=0.5,
+    #: Maximum share of wavelengths that occur again in rows that are not adjacent [1], by which they come
+    #: from overlapping detectors: 0.002 in exports of SVC; two spectra, one below the other, have 0.5.
+    max_repeats=0.05,
+    max_preamble=500,
+    max_candidates=64,
+)
 _NO_SPREAD, _IS_SPREAD = -1, -2
 _SAY_SO = "pass quantity='reflectance' if the values are reflectance"
 
@@ -862,7 +867,6 @@ _TITLE = re.compile(
 #: Words of the source of light; reflectance of a table may have been measured under it.
 _LAMP = re.compile(r"\b(?:lamps?|luminaires?)\b", re.I)
 
-_MAX_PREAMBLE = 500
 #: Headings that do not name a paint.
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
@@ -926,7 +930,6 @@ _AXIS = re.compile(
     r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm|error ?bars?\b)", re.I
 )
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
-_MAX_CANDIDATES = 64
 #: Number of folders that are searched for wavelengths, from that of the spectrum upwards.
 _FOLDERS = 3
 
@@ -961,7 +964,7 @@ def read_plain_table(
     lines = _lines(path, "a table of wavelengths and reflectance")
     without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
     found = FormatError.raise_if_none(
-        first_row(without_comments, _MAX_PREAMBLE),
+        first_row(without_comments, _TABLE.max_preamble),
         f"{source}: no table of numbers",
         expected="a wavelength and one or more values a line",
         code="table-missing",
@@ -1218,7 +1221,7 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
         mean, deviation = values
         comparable = np.isfinite(mean) & np.isfinite(deviation) & (mean > 0)
         ratios = deviation[comparable] / mean[comparable]
-        if ratios.size and (ratios >= 0).all() and np.median(ratios) <= _MAX_SPREAD_RATIO:
+        if ratios.size and (ratios >= 0).all() and np.median(ratios) <= _TABLE.max_spread_ratio:
             text = (
                 f"{source}: three columns without headings; the third is taken for the standard deviation of "
                 "the second; add headings, or pass quantity='reflectance' if the third is a paint"
@@ -1236,7 +1239,7 @@ def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[I
     starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)  # first rows of equal wavelengths
     distant_share = 1.0 - np.unique(wavelength[starts]).size / starts.size
     adjacent = wavelength.size - starts.size
-    if distant_share > _MAX_REPEATS or 2 * adjacent >= wavelength.size:
+    if distant_share > _TABLE.max_repeats or 2 * adjacent >= wavelength.size:
         repeats = wavelength.size - np.unique(wavelength).size
         raise FormatError(
             f"{source}: {repeats} of {wavelength.size} wavelengths occur twice",
@@ -1266,12 +1269,12 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
     left, inside, right = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
     near = nm[(nm >= 745) & (nm <= 781)]
-    if not (left.any() and inside.any() and right.any()) or np.diff(near).max() > _OXYGEN_STEP_NM:
+    if not (left.any() and inside.any() and right.any()) or np.diff(near).max() > _TABLE.oxygen_step_nm:
         return
     # the lower shoulder, since the reflectance of a paint that is black in the visible rises across the band
     shoulder = np.minimum(values[:, left].mean(axis=1), values[:, right].mean(axis=1))
     dip = shoulder - values[:, inside].min(axis=1)
-    light = np.flatnonzero(dip > _MIN_OXYGEN_DEPTH * np.maximum(shoulder, 1e-6))
+    light = np.flatnonzero(dip > _TABLE.min_oxygen_depth * np.maximum(shoulder, 1e-6))
     if light.size:
         depth = dip[light[0]] / shoulder[light[0]] if shoulder[light[0]] > 0 else np.inf
         text = (
@@ -1459,7 +1462,7 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     # Return the wavelengths or bandwidths of a USGS file [nm], NaN for deleted channels, and a note on units.
     # Raises FormatError: The file is damaged, or has other content.
     title, values = _column(path)
-    values[values < _MAX_FILL_VALUE] = np.nan
+    values[values < _PLAUSIBLE.max_fill_value] = np.nan
     FormatError.raise_if(
         not np.isfinite(values).any(),
         f"{path.name}: none of its {values.size} values are finite",
@@ -1483,7 +1486,7 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
         if candidates:
             break
     axes = {}
-    for file in candidates[:_MAX_CANDIDATES]:
+    for file in candidates[: _TABLE.max_candidates]:
         with contextlib.suppress(FormatError):
             values, note = read_usgs_axis(file)
             if values.size == count and file != path.absolute():
@@ -1922,7 +1925,48 @@ def read_parquet_library(path: Path) -> xr.Dataset:
         ),
         pq.ParquetFile(os.fspath(path)) as file,
     ):
-        columns = _parquet_columns(file, source)
+        # columns that are read; refuse files that would fill the memory
+        missing, rows = (
+            [name for name in _COLUMNS if name not in file.schema_arrow.names],
+            file.metadata.num_rows,
+        )
+        refuse(
+            source,
+            (
+                missing,
+                Problem(
+                    f"columns {', '.join(missing)} are missing",
+                    expected="the columns of OpenSpecLib",
+                    code="column-missing",
+                ),
+            ),
+            (
+                not 0 < rows <= _MAX_ROWS,
+                Problem(f"{rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"),
+            ),
+        )
+        columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        count = 0
+        for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
+            count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
+            FormatError.raise_if(
+                count > _MAX_VALUES,
+                f"{source}: more than {_MAX_VALUES} values",
+                mend="split the file",
+                code="file-too-large",
+            )
+            for name, cells in columns.items():
+                column = batch.column(name)
+                cells += (
+                    [
+                        np.empty(0)
+                        if cell.values is None
+                        else np.asarray(cell.values.to_numpy(zero_copy_only=False), np.float64)
+                        for cell in column
+                    ]
+                    if name in _NUMBERS
+                    else column.to_pylist()
+                )
         is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
     names = list(map(str, columns["name"]))
     is_restored = is_ours and metadata_path(path).exists()
@@ -2000,49 +2044,6 @@ def read_parquet_library(path: Path) -> xr.Dataset:
             columns={"licence": list(map(str, columns["source.license"]))},
         )
     )
-
-
-def _parquet_columns(file: Any, source: str) -> dict[str, list[Any]]:
-    # Columns that are read; raise for files that would fill the memory
-    missing, rows = [name for name in _COLUMNS if name not in file.schema_arrow.names], file.metadata.num_rows
-    refuse(
-        source,
-        (
-            missing,
-            Problem(
-                f"columns {', '.join(missing)} are missing",
-                expected="the columns of OpenSpecLib",
-                code="column-missing",
-            ),
-        ),
-        (
-            not 0 < rows <= _MAX_ROWS,
-            Problem(f"{rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"),
-        ),
-    )
-    columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-    count = 0
-    for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
-        count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
-        FormatError.raise_if(
-            count > _MAX_VALUES,
-            f"{source}: more than {_MAX_VALUES} values",
-            mend="split the file",
-            code="file-too-large",
-        )
-        for name, cells in columns.items():
-            column = batch.column(name)
-            cells += (
-                [
-                    np.empty(0)
-                    if cell.values is None
-                    else np.asarray(cell.values.to_numpy(zero_copy_only=False), np.float64)
-                    for cell in column
-                ]
-                if name in _NUMBERS
-                else column.to_pylist()
-            )
-    return columns
 
 
 # --- ENVI --------------------------------------------------------------------------------------------------
