@@ -544,26 +544,6 @@ def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[
         )
 
 
-def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
-    entries: list[ReferenceEntry] = []
-    for number, table in enumerate(reader.tables["references"]):
-        subject = f"[[references]] {number + 1}"
-        _note_missing_keys(reader, subject, "references", table)
-        if "instrument" not in table or "files" not in table:
-            continue
-        name = table["instrument"]
-        group = ReferenceEntry(name, ()).group
-        if group.lower() in (entry.group.lower() for entry in entries):
-            reader.problems.add(
-                f"{subject} instrument {name!r} has another table, too",
-                mend="list all its files in one table",
-                code="name-duplicate",
-            )
-        elif reader.is_name(subject, "instrument", group, "blanks, "):
-            entries.append(ReferenceEntry(name, reader.files(subject, "files", table["files"])))
-    return tuple(entries)
-
-
 def _panels(reader: _Reader) -> Iterator[PanelEntry]:
     position_keys = ("line", "along_track", "cross_track")
     for number, table in enumerate(reader.tables["panels"]):
@@ -664,7 +644,23 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
             mend="give each table a unique id: cubes of a pattern are then called <id>_<name of the cube>",
             code="name-duplicate",
         )
-    flightlines, references, panels = tuple(entries), _references(reader), tuple(_panels(reader))
+    references: list[ReferenceEntry] = []
+    for number, table in enumerate(reader.tables["references"]):
+        subject = f"[[references]] {number + 1}"
+        _note_missing_keys(reader, subject, "references", table)
+        if "instrument" not in table or "files" not in table:
+            continue
+        name = table["instrument"]
+        group = ReferenceEntry(name, ()).group
+        if group.lower() in (entry.group.lower() for entry in references):
+            reader.problems.add(
+                f"{subject} instrument {name!r} has another table, too",
+                mend="list all its files in one table",
+                code="name-duplicate",
+            )
+        elif reader.is_name(subject, "instrument", group, "blanks, "):
+            references.append(ReferenceEntry(name, reader.files(subject, "files", table["files"])))
+    panels = tuple(_panels(reader))
     table = reader.one("geometry")
     reader.exclude("[geometry]", table, "ground", "dem")
     reader.exclude("[geometry]", table, "fov_deg", "look_angle")
@@ -677,13 +673,13 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     return Collect(
         path=path,
         name=reader.collect_name,
-        flightlines=flightlines,
+        flightlines=tuple(entries),
         calibration=Unavailable.REPORTED if is_lost else calibration,
         irradiance=irradiance,
         white=_white(reader),
         clock=reader.clock,
         nav=tuple(reader.nav),
-        references=references,
+        references=tuple(references),
         panels=panels,
         sweep=sweep,
         bad_elements=bad_elements,
@@ -779,7 +775,24 @@ def open_with_settings(
         and isinstance(irradiance, xr.Dataset)
     ):
         with findings.step():
-            irradiance = _levelled(irradiance, tuple(navigation.values()), collect, level)
+            # The record of a light sensor on the aircraft, converted to level ground.
+            dated = [poses for poses in tuple(navigation.values()) if poses.utc is not None]
+            if level is None or not dated:
+                raise CollectError(
+                    '[irradiance] mount = "aircraft" without the attitude of the aircraft in UTC',
+                    mend="state nav files with a date, or level the record by "
+                    "hyperpaint.light.level_irradiance",
+                    code="attitude-missing",
+                )
+            columns = {
+                name: ("time", np.concatenate([poses.values[name] for poses in dated]))
+                for name in ("roll", "pitch", "heading", "latitude", "longitude")
+            }
+            time = np.concatenate([np.asarray(poses.utc) for poses in dated]).astype("datetime64[ns]")
+            declared = dict(collect.flightlines[0].convention) if collect.flightlines else {}
+            irradiance = level(
+                irradiance, xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs())
+            )
     lines: dict[str, xr.Dataset] = {}
     uncovered: dict[str, UncoveredError] = {}
     for entry in collect.flightlines:
@@ -852,29 +865,6 @@ def _joined_lines(
                 )
                 joined_name = line_id if line_id and len(joined_lines) == 1 else members[0]
                 yield joined_name, (joined.assign_attrs(name=joined_name), members)
-
-
-def _levelled(
-    record: xr.Dataset,
-    navigation: tuple[Navigation, ...],
-    collect: Collect,
-    level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None,
-) -> xr.Dataset:
-    # The record of a light sensor on the aircraft, converted to level ground.
-    dated = [poses for poses in navigation if poses.utc is not None]
-    if level is None or not dated:
-        raise CollectError(
-            '[irradiance] mount = "aircraft" without the attitude of the aircraft in UTC',
-            mend="state nav files with a date, or level the record by hyperpaint.light.level_irradiance",
-            code="attitude-missing",
-        )
-    columns = {
-        name: ("time", np.concatenate([poses.values[name] for poses in dated]))
-        for name in ("roll", "pitch", "heading", "latitude", "longitude")
-    }
-    time = np.concatenate([np.asarray(poses.utc) for poses in dated]).astype("datetime64[ns]")
-    declared = dict(collect.flightlines[0].convention) if collect.flightlines else {}
-    return level(record, xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs()))
 
 
 def _opened_references(

@@ -86,69 +86,6 @@ class Coats(NamedTuple):
     roughness: Floats  # GGX alpha (signature,) [1]
 
 
-def coats_of(library: xr.Dataset, specular: float | str, roughness: float) -> Coats:
-    # Return the clear coats of the paints of a library.
-    # ``specular``: reflectance of the coats at normal incidence [1]; ``library`` for the mean of
-    # ``specular_reflectance``.
-    # Raises `SchemaError`: The attribute ``mirror_reflection`` is neither ``included`` nor ``excluded``; a
-    # value is out of range; a coat would count twice; or ``specular`` is ``library`` without a
-    # ``specular_reflectance``.
-    problems = Problems("clear coats cannot be written", SchemaError)
-    is_from_library = specular == "library"
-    has_specular = _SPECULAR in library.variables
-    try:
-        declared = mirror_reflection(library)
-    except SchemaError as error:
-        problems.add_error("", error)
-        declared = None
-    if is_from_library and has_specular:
-        mirrored = require(library, [_SPECULAR], "DIRSIG materials", _ROWS)[_SPECULAR]
-        values = np.nan_to_num(mirrored.astype(np.float64).mean(BAND).values)
-    else:
-        level = 0.0 if is_from_library else float(specular) if is_number(specular) else np.nan
-        values = np.full(library.sizes[SIGNATURE], level)
-    for is_wrong, found, expected, mend, option, code in (
-        (
-            not ((values >= 0.0) & (values < _MOST_COAT)).all(),
-            f"specular={specular!r}" + (f" of up to {values.max():g}" if is_from_library else ""),
-            f"0 to below {_MOST_COAT:g}, or 'library'",
-            "pass the reflectance of the coat at normal incidence, such as 0.04",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            not (is_number(roughness) and 0.0 <= roughness <= 1.0),
-            f"roughness={roughness!r}",
-            "0 to 1",
-            "",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            is_from_library and not has_specular,
-            "specular='library', but the library has no specular_reflectance (signature, band)",
-            "",
-            "",
-            "",
-            "variable-missing",
-        ),
-        (
-            # without a declaration the coat is taken as included, so that it cannot count twice
-            specular != 0.0 and (declared or INCLUDED) == INCLUDED and (not is_from_library or has_specular),
-            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
-            "would count twice",
-            "",
-            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
-            "leave specular out, or give body reflectance (signatures --specular-sky)",
-            "coat-counted-twice",
-        ),
-    ):
-        problems.add_if(is_wrong, found, expected=expected, mend=mend, option=option, code=code)
-    problems.raise_if_any()
-    return Coats(values, np.full(values.shape, float(roughness)))
-
-
 class PaintCurves:
     # Curves of the paints of a library as they are written.
     # coats: of the paints. curves: key of `CURVES`. wavelength_range: low and high end [nm], None for the
@@ -280,13 +217,13 @@ class PaintCurves:
         last = min(int(usable[-1]), int(np.searchsorted(self.wavelength, high, "left")))
         bands = slice(first, last + 1)
         wavelength = self.wavelength[bands]
-        if np.median(centre[usable]) > 1.0:
-            raise SchemaError(
-                f"median reflectance {np.median(centre[usable]):g}",
-                expected="0 to 1",
-                mend="divide percent by 100",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            np.median(centre[usable]) > 1.0,
+            f"median reflectance {np.median(centre[usable]):g}",
+            expected="0 to 1",
+            mend="divide percent by 100",
+            code="value-out-of-range",
+        )
         curves = curves[:, bands]
         has_ends = np.isfinite(curves[:, [0, -1]]).all(axis=1)
         missing, centre_missing = ~np.isfinite(curves), ~np.isfinite(centre[bands])
@@ -309,7 +246,18 @@ class PaintCurves:
             curves, missing = curves[order], missing[order]
             for row, gaps in zip(curves, missing, strict=True):
                 row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
-            rows = thinned_rows(curves, np.asarray(missing.any(axis=1)), self.max_curves)
+            # rows of the population (curve, wavelength) that are written, at most `max_curves`
+            is_filled = np.asarray(missing.any(axis=1))
+            if self.max_curves is None or len(curves) <= self.max_curves:
+                rows = np.arange(len(curves))
+            else:
+                complete = np.flatnonzero(~is_filled)
+                rows = complete if complete.size >= self.max_curves else np.arange(len(curves))
+                ranked = rows[np.argsort(curves[rows].mean(axis=1), kind="stable")]
+                # the middle curve of every one of `max_curves` classes with the same number of curves
+                middles = (np.arange(self.max_curves) + 0.5) * len(ranked) / self.max_curves
+                chosen = ranked[np.floor(middles).astype(np.int64)]
+                rows = chosen[np.argsort(is_filled[chosen], kind="stable")]
         else:
             curves, missing, rows = centre[np.newaxis], centre_missing[np.newaxis], np.zeros(1, np.int64)
         thinned, curves, missing = len(curves) - len(rows), curves[rows], missing[rows]
@@ -333,28 +281,6 @@ class PaintCurves:
             "extrapolated": " and ".join(["below"] * below + ["above"] * above),
         }
         return wavelength, np.pad(centre, padding, "edge"), np.pad(curves, ((0, 0), padding), "edge"), record
-
-
-def thinned_rows(curves: Array, is_filled: Array, max_curves: int | None) -> Array:
-    """Return the rows of a population (curve, wavelength) that are written, at most ``max_curves``.
-
-    They have equal steps of rank in mean reflectance, so that the distribution of brightness is kept. Curves
-    with interpolated samples (``is_filled``) are only used if there are too few complete curves.
-
-    Examples
-    --------
-    >>> population = np.array([[0.3], [0.1], [0.2], [0.5], [0.4]])
-    >>> thinned_rows(population, np.zeros(5, bool), 3)
-    array([1, 0, 3])
-    """
-    if max_curves is None or len(curves) <= max_curves:
-        return np.arange(len(curves))
-    complete = np.flatnonzero(~is_filled)
-    rows = complete if complete.size >= max_curves else np.arange(len(curves))
-    ranked = rows[np.argsort(curves[rows].mean(axis=1), kind="stable")]
-    # the middle curve of every one of `max_curves` classes with the same number of curves
-    chosen = ranked[np.floor((np.arange(max_curves) + 0.5) * len(ranked) / max_curves).astype(np.int64)]
-    return chosen[np.argsort(is_filled[chosen], kind="stable")]
 
 
 # --- the folder of an export -------------------------------------------------------------------------------
@@ -671,9 +597,64 @@ def write_dirsig(
         if is_wrong
     )
     problems.raise_if_any()
+    # clear coats of the paints: `specular` is their reflectance at normal incidence [1], or "library" for
+    # the mean of `specular_reflectance`
+    problems = Problems("clear coats cannot be written", SchemaError)
+    is_from_library = specular == "library"
+    has_specular = _SPECULAR in library.variables
+    try:
+        declared = mirror_reflection(library)
+    except SchemaError as error:
+        problems.add_error("", error)
+        declared = None
+    if is_from_library and has_specular:
+        mirrored = require(library, [_SPECULAR], "DIRSIG materials", _ROWS)[_SPECULAR]
+        values = np.nan_to_num(mirrored.astype(np.float64).mean(BAND).values)
+    else:
+        level = 0.0 if is_from_library else float(specular) if is_number(specular) else np.nan
+        values = np.full(library.sizes[SIGNATURE], level)
+    for is_wrong, found, expected, mend, option, code in (
+        (
+            not ((values >= 0.0) & (values < _MOST_COAT)).all(),
+            f"specular={specular!r}" + (f" of up to {values.max():g}" if is_from_library else ""),
+            f"0 to below {_MOST_COAT:g}, or 'library'",
+            "pass the reflectance of the coat at normal incidence, such as 0.04",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            not (is_number(roughness) and 0.0 <= roughness <= 1.0),
+            f"roughness={roughness!r}",
+            "0 to 1",
+            "",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            is_from_library and not has_specular,
+            "specular='library', but the library has no specular_reflectance (signature, band)",
+            "",
+            "",
+            "",
+            "variable-missing",
+        ),
+        (
+            # without a declaration the coat is taken as included, so that it cannot count twice
+            specular != 0.0 and (declared or INCLUDED) == INCLUDED and (not is_from_library or has_specular),
+            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
+            "would count twice",
+            "",
+            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+            "leave specular out, or give body reflectance (signatures --specular-sky)",
+            "coat-counted-twice",
+        ),
+    ):
+        problems.add_if(is_wrong, found, expected=expected, mend=mend, option=option, code=code)
+    problems.raise_if_any()
     paint_curves = PaintCurves(
         library,
-        coats_of(library, specular, roughness),
+        Coats(values, np.full(values.shape, float(roughness))),
         curves=curves,
         wavelength_range=wavelength_range,
         extrapolate=extrapolate,

@@ -31,7 +31,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -1409,10 +1409,29 @@ def write_envi(
     ('line.hdr', {'along_track': 2, 'band': 3, 'cross_track': 4})
     >>> scratch.cleanup()
     """
-    cube = _stored_cube(dataset, variable, dtype)
+    # the array (line, sample, band) in its stored dtype, still lazy
+    cube = product_of(dataset, variable)
+    name = str(cube.name)
+    if dtype is not None:
+        one_of(str(dtype), ("float32", "uint16"), "dtype")
+    if dtype == "uint16" and cube.dtype.kind == "f":
+        SchemaError.raise_if(
+            name != "reflectance",
+            f"{name!r} is {cube.dtype}",
+            expected="reflectance, the only variable of floats that is written as uint16",
+            mend="pass dtype='float32'",
+            code="type-wrong",
+        )
+        scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
+        cube = scaled.astype(np.uint16).assign_attrs(cube.attrs)
+    else:
+        cube = cube.astype(np.float32, copy=False) if dtype == "float32" else storable(cube)
     grid = grid_of(dataset) if "y" in cube.dims else None
     if grid is not None and grid.mirrored:
-        cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
+        # with the order of rows reversed
+        a, b, c, d, e, f = grid.transform
+        grid = replace(grid, transform=(a + cube.sizes["y"] * c, b, -c, d + cube.sizes["y"] * f, e, -f))
+        cube = cube.isel(y=slice(None, None, -1))
     order = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
     one_of(order, FILE_AXES, "interleave")
     stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in FILE_AXES[order]])
@@ -1432,25 +1451,6 @@ def write_envi(
 
 
 # --- array and header --------------------------------------------------------------------------------------
-
-
-def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
-    # Return the array (line, sample, band) in its stored dtype, still lazy.
-    cube = product_of(dataset, variable)
-    name = str(cube.name)
-    if dtype is not None:
-        one_of(str(dtype), ("float32", "uint16"), "dtype")
-    if dtype == "uint16" and cube.dtype.kind == "f":
-        SchemaError.raise_if(
-            name != "reflectance",
-            f"{name!r} is {cube.dtype}",
-            expected="reflectance, the only variable of floats that is written as uint16",
-            mend="pass dtype='float32'",
-            code="type-wrong",
-        )
-        scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
-        return scaled.astype(np.uint16).assign_attrs(cube.attrs)
-    return cube.astype(np.float32, copy=False) if dtype == "float32" else storable(cube)
 
 
 def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid | None) -> str:

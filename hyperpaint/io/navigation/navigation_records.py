@@ -44,6 +44,7 @@ from functools import reduce
 from importlib.util import find_spec
 from operator import xor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -107,11 +108,13 @@ NS_PER_S = 1_000_000_000
 WEEK_S = 604_800
 #: Beginning of GPS time [ns since 1970-01-01].
 GPS_EPOCH: int = np.datetime64("1980-01-06", "ns").astype(np.int64).item()
-_NS_PER_US = 1000
+CLOCK_LIMITS = SimpleNamespace(
+    ns_per_us=1000,
+    max_offset_s=1e9,
+    min_clock_step_ns=200 * 1_000_000,  # larger than the drift of any clock between two rows
+)
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
-_MAX_OFFSET_S = 1e9
 _DAY_US = 86_400_000_000
-_MIN_CLOCK_STEP_NS = 200 * 1_000_000  # larger than the drift of any clock between two rows
 
 
 def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
@@ -211,9 +214,9 @@ class ClockCorrection:
 
     def __post_init__(self) -> None:
         TimeError.raise_if(
-            not abs(self.offset_s) <= _MAX_OFFSET_S,
+            not abs(self.offset_s) <= CLOCK_LIMITS.max_offset_s,
             f"clock offset {self.offset_s} s",
-            expected=f"-{_MAX_OFFSET_S:g} to {_MAX_OFFSET_S:g} s",
+            expected=f"-{CLOCK_LIMITS.max_offset_s:g} to {CLOCK_LIMITS.max_offset_s:g} s",
             code="value-out-of-range",
         )
         one_of(self.time_scale, ("utc", "gps"), "time_scale", error=TimeError)
@@ -274,8 +277,8 @@ def tie_clock(
     # a receiver that is slower than the log repeats its time; only the first row of each time is used
     is_first = np.concatenate([[True], np.diff(utc) > 0])
     stamp, utc, rows = stamp[is_first], utc[is_first], rows[is_first]
-    drift = np.diff(utc).astype(np.float64) - np.diff(stamp).astype(np.float64) * _NS_PER_US
-    steps = np.flatnonzero(np.abs(drift) > _MIN_CLOCK_STEP_NS)
+    drift = np.diff(utc).astype(np.float64) - np.diff(stamp).astype(np.float64) * CLOCK_LIMITS.ns_per_us
+    steps = np.flatnonzero(np.abs(drift) > CLOCK_LIMITS.min_clock_step_ns)
     if steps.size:
         raise TimeError(
             (
@@ -1172,19 +1175,21 @@ def _time_column(
 # --- NMEA 0183 ---------------------------------------------------------------------------------------------
 
 
-#: Largest number of positions in a log: five hours at 20 Hz.
-_MAX_POSITIONS = 400_000
+SENTENCES = SimpleNamespace(
+    #: Largest number of positions in a log: five hours at 20 Hz.
+    max_positions=400_000,
+    day_s=86_400,
+    half_day_s=43_200.0,
+    #: Quality codes of GGA for measured positions, without estimated, manual and simulated ones.
+    measured_qualities=(1, 2, 3, 4, 5, 9),
+    #: Largest share of sentences with a wrong checksum [1].
+    max_damaged_share=0.5,
+)
 
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
 _CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
 _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
-_DAY_S = 86_400
-_HALF_DAY_S = 43_200.0
-#: Quality codes of GGA for measured positions, without estimated, manual and simulated ones.
-_MEASURED_QUALITIES = (1, 2, 3, 4, 5, 9)
-#: Largest share of sentences with a wrong checksum [1].
-_MAX_DAMAGED_SHARE = 0.5
 
 
 def is_nmea(head: bytes) -> bool:
@@ -1219,18 +1224,18 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
             damaged += 1
             continue
         log.take(sentence.split(","))
-        if len(log.rows) > _MAX_POSITIONS:
+        if len(log.rows) > SENTENCES.max_positions:
             break
     FormatError.raise_if(
-        len(log.rows) > _MAX_POSITIONS,
-        f"{path}: over {_MAX_POSITIONS} positions",
+        len(log.rows) > SENTENCES.max_positions,
+        f"{path}: over {SENTENCES.max_positions} positions",
         expected="a log of hours",
         mend="shorten the log to the flight",
         code="file-too-large",
     )
     wrong_checksums = f"{damaged} of {total} sentences have a wrong checksum"
     FormatError.raise_if(
-        damaged > _MAX_DAMAGED_SHARE * total,
+        damaged > SENTENCES.max_damaged_share * total,
         f"{path}: {wrong_checksums}",
         mend="copy it again",
         code="checksum-wrong",
@@ -1301,7 +1306,7 @@ class _Log:
 
     def _take(self, fields: list[str]) -> None:
         match fields[0][-3:]:
-            case "GGA" if int(fields[6] or 0) in _MEASURED_QUALITIES and fields[2]:
+            case "GGA" if int(fields[6] or 0) in SENTENCES.measured_qualities and fields[2]:
                 seconds = self._record_seconds(fields[1])
                 if seconds in self.rows:
                     return
@@ -1348,7 +1353,9 @@ class _Log:
         if self._last_seconds is None:
             self._last_seconds = seconds_of_day
         # some sentences are late: choose the day that is nearest to the previous sentence
-        self._last_seconds += (seconds_of_day - self._last_seconds + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
+        self._last_seconds += (
+            seconds_of_day - self._last_seconds + SENTENCES.half_day_s
+        ) % SENTENCES.day_s - SENTENCES.half_day_s
         self._last_clock = clock
         return round(self._last_seconds, 9)
 
@@ -1359,7 +1366,7 @@ class _Log:
         date = dt.date(year, month, day)  # refuses days that do not exist
         if self.first_day is None:
             midnight = int(np.datetime64(date, "ns").astype(np.int64))
-            self.first_day = midnight - int(seconds // _DAY_S) * _DAY_S * NS_PER_S
+            self.first_day = midnight - int(seconds // SENTENCES.day_s) * SENTENCES.day_s * NS_PER_S
 
 
 def _angle(text: str) -> float:
@@ -1833,8 +1840,11 @@ def _convention(
 
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
-_MAX_COORDINATE = 1e8
-_UNIT_TOLERANCE = 1e-9  # rounding error of unit factors; international and US survey feet differ by 2e-6
+_MAP_COLUMNS = SimpleNamespace(
+    max_coordinate=1e8,
+    unit_tolerance=1e-9,  # rounding error of unit factors; international and US survey feet differ by 2e-6
+    pixels=("", "1", "px", "pixel", "pixels"),
+)
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _POINT_ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -1847,7 +1857,6 @@ _POINT_ALIASES = {
 }
 _SUFFIXES = ("m", "ft", "km", "cm", "mm", "foot", "feet", "px", "usft", "ftus")
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-_PIXELS = ("", "1", "px", "pixel", "pixels")
 _ONE_BASED = re.compile(r"\b(?:1|one)[ -]?based|(?:from|at) (?:1|one)\b", re.IGNORECASE)
 _METRES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
@@ -1952,7 +1961,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     )
     axis = _map_axis(crs, problems) if crs and needs_axis else None
     numbers = {
-        name: limited_numbers(table, name, _MAX_COORDINATE, problems)
+        name: limited_numbers(table, name, _MAP_COLUMNS.max_coordinate, problems)
         * _factor(name, units[name], problems, axis if name in ("east", "north") else None)
         for name in _NUMBERS
     }
@@ -2024,7 +2033,12 @@ def column_heading(cell: str) -> tuple[str, str]:
         text.strip() for content in _BRACKETS.findall(cell) for text in re.split("[,;]", content)
     ]
     unit = next(
-        (text for text in bracket_texts if _metres(text) or text.lower() in _PIXELS or _is_unit(text)), ""
+        (
+            text
+            for text in bracket_texts
+            if _metres(text) or text.lower() in _MAP_COLUMNS.pixels or _is_unit(text)
+        ),
+        "",
     )
     name = "_".join(_BRACKETS.sub(" ", cell).lower().split())
     if not unit and name.rpartition("_")[2] in _SUFFIXES:
@@ -2058,7 +2072,7 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
     # Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit.
     if name.endswith("_track"):
         problems.add_if(
-            unit.lower() not in _PIXELS,
+            unit.lower() not in _MAP_COLUMNS.pixels,
             f"column {name!r} in {unit!r:.40}",
             expected="pixels, counted from 0",
             code="units-unknown",
@@ -2080,4 +2094,4 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
         )
         return 1.0
     factor = metres_of(name, unit, problems) / axis_unit_size
-    return 1.0 if abs(factor - 1.0) < _UNIT_TOLERANCE else factor
+    return 1.0 if abs(factor - 1.0) < _MAP_COLUMNS.unit_tolerance else factor

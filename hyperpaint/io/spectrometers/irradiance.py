@@ -202,7 +202,24 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             values[index] = [float(cell) if cell else math.nan for cell in cells[time_columns:]]
         line_numbers.append(line_number)
         times.append(time)
-    stamps = _in_one_order(times, name, zone)
+    # times with the zone of the heading; dates with slashes have one order in the file
+    order = orders_of((name, time) for time in times if isinstance(time, LocalStamp)).get(name)
+    stamps = []
+    for time in times:
+        local = time
+        if isinstance(time, LocalStamp):
+            read = time.read(order if time.slashes else None)
+            if read is None:
+                both = sorted(f"{each:%Y-%m-%d}" for each in (time.day_first, time.month_first) if each)
+                raise FormatError(
+                    f"{name}: a date is {' or '.join(both)}",
+                    expected="an order of day and month that the file decides",
+                    mend="write ISO 8601, such as 2024-06-01T10:00:00Z",
+                    code="date-ambiguous",
+                )
+            local = read
+        assert isinstance(local, dt.datetime)
+        stamps.append(local.replace(tzinfo=zone) if local.tzinfo is None and zone else local)
     width_text = comments.get("fwhm_nm")
     width = None if width_text is None else number(width_text)
     refuse(
@@ -246,31 +263,6 @@ def _time_of_cell(text: str) -> dt.datetime | LocalStamp:
     if time.year not in _YEARS:
         raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
     return time
-
-
-def _in_one_order(
-    times: Sequence[dt.datetime | LocalStamp], name: str, zone: dt.timezone | None
-) -> list[dt.datetime]:
-    # Return the times of a file, with the zone of its heading; dates with slashes have one order.
-    # Raises FormatError: The dates are valid with the day first and with the month first.
-    order = orders_of((name, time) for time in times if isinstance(time, LocalStamp)).get(name)
-    stamps = []
-    for time in times:
-        local = time
-        if isinstance(time, LocalStamp):
-            read = time.read(order if time.slashes else None)
-            if read is None:
-                both = sorted(f"{each:%Y-%m-%d}" for each in (time.day_first, time.month_first) if each)
-                raise FormatError(
-                    f"{name}: a date is {' or '.join(both)}",
-                    expected="an order of day and month that the file decides",
-                    mend="write ISO 8601, such as 2024-06-01T10:00:00Z",
-                    code="date-ambiguous",
-                )
-            local = read
-        assert isinstance(local, dt.datetime)
-        stamps.append(local.replace(tzinfo=zone) if local.tzinfo is None and zone else local)
-    return stamps
 
 
 # --- stores ------------------------------------------------------------------------------------------------

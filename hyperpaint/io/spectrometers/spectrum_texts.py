@@ -1381,12 +1381,18 @@ class SpectrumText(NamedTuple):
             values = ratio(radiances["target"], radiances["reference"])
             return TextColumn(RATIO, quantity, "target", "1", values)
         held = sorted({f"{c.quantity or 'an unnamed quantity'} of the {c.scan}" for c in self.columns})
+        # the ratio of counts that a user may want to check by hand
+        counts = {column.scan: column.values[0] for column in self.columns if column.quantity == "counts"}
+        hint = ""
+        if counts.get("reference") and "target" in counts:
+            share = counts["target"] / counts["reference"]
+            hint = f" (target / reference is {share:.3g} at {self.wavelength[0]:g} nm)"
         refuse(
             self.name,
             (
                 not known and not unknown,
                 Problem(
-                    f"{self.instrument} text of {' and '.join(held)}, no {quantity}{self._hint()}",
+                    f"{self.instrument} text of {' and '.join(held)}, no {quantity}{hint}",
                     mend=_WAYS_OUT.get(self.quantity or "", "export it with the instrument's software"),
                     code="quantity-wrong",
                 ),
@@ -1425,14 +1431,6 @@ class SpectrumText(NamedTuple):
             ),
         )
         return column._replace(quantity=quantity, units=target_units, values=column.values * factor)
-
-    def _hint(self) -> str:
-        # The ratio of counts that a user may want to check by hand.
-        counts = {column.scan: column.values[0] for column in self.columns if column.quantity == "counts"}
-        if counts.get("reference") and "target" in counts:
-            share = counts["target"] / counts["reference"]
-            return f" (target / reference is {share:.3g} at {self.wavelength[0]:g} nm)"
-        return ""
 
 
 _WAYS_OUT = {
@@ -1552,7 +1550,21 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         units = bracket[1] if bracket is not None else "%" if "%" in heading else ""
         column = TextColumn(heading, quantity or head_quantity, scan, units, values[number])
         columns.append(column if quantity or units or not head_units else _by_units(column, head_units))
-    local, offset = _time_of(form, head)
+    # local time in the head, and local time minus UTC [h]; None where unknown or ambiguous
+    match = re.search(form.stamp, head, re.MULTILINE)
+    if match is None:
+        local, offset = None, None
+    else:
+        parts: dict[str, Any] = {"fraction": None, "zone": None, "month": None} | match.groupdict()
+        date = f"{parts['day']}-{parts['month']}-{parts['year']}" if parts["month"] else parts["date"]
+        if form.dayfirst is None and not parts["month"]:
+            # of an order that differs between versions: kept only where certain
+            date = date.replace("-", "/")
+        stamp = read_stamp(f"{date} {parts['clock'] if parts['month'] else parts['time']}")
+        local = None if stamp is None else stamp.read(form.dayfirst)
+        if local is not None and parts["fraction"]:
+            local += dt.timedelta(seconds=float(parts["fraction"]))
+        offset = _ZONES.get(parts["zone"] or "")
     seconds, averages, fix = (pattern.search(head) for pattern in (_INTEGRATION, _AVERAGES, _GPS))
     gps = None
     if fix is not None and max(int(fix[5]), int(fix[6])) < 60 and int(fix[4]) < 24:
@@ -1584,19 +1596,3 @@ def _by_units(column: TextColumn, units: str) -> TextColumn:
             continue
         return column._replace(quantity=quantity, units=units)
     return column._replace(units=units)
-
-
-def _time_of(form: Form, head: str) -> tuple[dt.datetime | None, float | None]:
-    # Return the local time in the head, and local time minus UTC [h]; None where unknown or ambiguous.
-    match = re.search(form.stamp, head, re.MULTILINE)
-    if match is None:
-        return None, None
-    parts: dict[str, Any] = {"fraction": None, "zone": None, "month": None} | match.groupdict()
-    date = f"{parts['day']}-{parts['month']}-{parts['year']}" if parts["month"] else parts["date"]
-    if form.dayfirst is None and not parts["month"]:
-        date = date.replace("-", "/")  # of an order that differs between versions: kept only where certain
-    stamp = read_stamp(f"{date} {parts['clock'] if parts['month'] else parts['time']}")
-    local = None if stamp is None else stamp.read(form.dayfirst)
-    if local is not None and parts["fraction"]:
-        local += dt.timedelta(seconds=float(parts["fraction"]))
-    return local, _ZONES.get(parts["zone"] or "")
