@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
@@ -44,14 +45,17 @@ PROCESS = 330 * 10**6
 # Memory of a worker of dask.distributed, without any slab [byte].
 WORKER = 380 * 10**6
 
-# Number of slabs of a thread in memory: one is computed while the last chunk of another is being stored.
-SLABS_IN_HAND = 2
+COPIES = SimpleNamespace(
+    # Number of slabs of a thread in memory: one is computed while the last chunk of another is being stored.
+    slabs_in_hand=2,
+    # Memory for encoding a chunk, relative to its size: result in the worst case, and its copy.
+    encoded_copies=1.5,
+    # Memory of the dask graph of one slab [byte].
+    task_bytes=16_000,
+    # Spacing of the shifts at which matched irradiance is stored [nm].
+    smile_step=0.5,
+)
 
-# Memory for encoding a chunk, relative to its size: result in the worst case, and its copy.
-ENCODED_COPIES = 1.5
-
-# Memory of the dask graph of one slab [byte].
-TASK_BYTES = 16_000
 
 # Ratio of planned to modelled memory.
 MARGIN = 1.1
@@ -68,9 +72,6 @@ HELPER_SPACE = 48 * 2**20
 
 # Address space of a computing thread beyond its slabs: a stack of 8 MiB, an arena of 64 MiB [byte].
 THREAD_SPACE = 72 * 2**20
-
-# Spacing of the shifts at which matched irradiance is stored [nm].
-SMILE_STEP = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,13 +101,13 @@ class Load:
         if shift is not None and shift.chunks is not None:
             cells = 16
         elif shift is not None and shift.size:
-            cells += math.ceil(float(np.ptp(shift.values)) / SMILE_STEP)
+            cells += math.ceil(float(np.ptp(shift.values)) / COPIES.smile_step)
         cubic = line.sizes[BAND] * cells * 4 * np.dtype(np.float64).itemsize
         small = sum(v.nbytes for v in line.variables.values() if ALONG_TRACK not in v.dims or v.ndim == 1)
         return cls(
             scan_line=samples * (cube.dtype.itemsize + single),
             light=4 * cubic,
-            encoded=int(ENCODED_COPIES * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
+            encoded=int(COPIES.encoded_copies * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
             # twice: as read, and as passed to the tasks
             shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
             lines=cube.sizes[ALONG_TRACK],
@@ -116,14 +117,14 @@ class Load:
     def a_thread(self) -> int:
         # Memory of a thread with slabs of the lines of a storage chunk [byte].
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
-        return SLABS_IN_HAND * slab + self.encoded // 2
+        return int(COPIES.slabs_in_hand * slab + self.encoded // 2)
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
         # Return the modelled peak [byte]; ``lines``: per task; ``fixed``: memory without any slab.
         slabs = math.ceil(self.lines / lines)
         slab = min(lines, self.lines) * (self.scan_line + self.light)
-        a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
-        return fixed + self.shared + TASK_BYTES * slabs + min(threads, slabs) * a_thread
+        a_thread = min(COPIES.slabs_in_hand, slabs) * slab + self.encoded
+        return int(fixed + self.shared + COPIES.task_bytes * slabs + min(threads, slabs) * a_thread)
 
 
 @dataclass(frozen=True)
@@ -413,7 +414,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     length = cubes[0].sizes[ALONG_TRACK]
     a_line = [v.nbytes // length for v in cubes]
     lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
-    encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
+    encoded = int(COPIES.encoded_copies * min(CHUNK_LINES, length) * max(a_line))
     one_thread = lines * sum(a_line) + encoded + fixed
     StoreError.raise_if(
         one_thread > available,

@@ -47,6 +47,7 @@ from collections.abc import Callable, Collection, Generator, Hashable, Iterable,
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, get_args
 
 import numpy as np
@@ -72,21 +73,22 @@ from .manifest import Location, replace_file, sync
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128
 
-# Maximum size of an array without lines that is stored as one chunk [byte].
-LARGEST_SINGLE_CHUNK = 64 * 2**20
+CHUNKING = SimpleNamespace(
+    # Maximum size of an array without lines that is stored as one chunk [byte].
+    largest_single_chunk=64 * 2**20,
+    # Size of the chunks of a larger array [byte].
+    split_chunk=16 * 2**20,
+    #: Fill value of integers: larger than all 12- and 14-bit counts; as quality it sets every flag.
+    integer_fill=65535,
+    band_groups=8,
+)
 
-# Size of the chunks of a larger array [byte].
-SPLIT_CHUNK = 16 * 2**20
-
-#: Fill value of integers: larger than all 12- and 14-bit counts; as quality it sets every flag.
-_INTEGER_FILL = 65535
 
 # A chunk of a cube holds all bands ("cube"), so that one task computes on one chunk; an eighth of them
 # ("explore"), so that a picture of one band reads an eighth; or all bands of a few pixels ("web"), so that a
 # spectrum reads little.
 Layout = Literal["cube", "explore", "web"]
 
-BAND_GROUPS = 8
 
 # Side of a tile of the web layout [pixel]: 280 kB of float32 at 272 bands; 130 kB of flags.
 WEB_CUBE, WEB_PLANE = 16, 256
@@ -124,13 +126,13 @@ def storage_chunks(
     elif ALONG_TRACK in sizes and len(dims) > 1:
         max_sizes = {ALONG_TRACK: CHUNK_LINES}
         if layout == "explore" and {BAND, CROSS_TRACK} <= sizes.keys():
-            max_sizes[BAND] = -(-sizes[BAND] // BAND_GROUPS)
+            max_sizes[BAND] = -(-sizes[BAND] // CHUNKING.band_groups)
     elif "coarse_y" in sizes and BAND in sizes:
-        max_sizes = {"coarse_y": TILE, BAND: -(-sizes[BAND] // BAND_GROUPS)}
+        max_sizes = {"coarse_y": TILE, BAND: -(-sizes[BAND] // CHUNKING.band_groups)}
     elif "y" in sizes and "x" in sizes:
         max_sizes = {"y": TILE, "x": TILE}
-    elif len(dims) > 1 and math.prod(shape) * itemsize > LARGEST_SINGLE_CHUNK:
-        max_sizes = {dims[0]: SPLIT_CHUNK // (math.prod(shape[1:]) * itemsize)}
+    elif len(dims) > 1 and math.prod(shape) * itemsize > CHUNKING.largest_single_chunk:
+        max_sizes = {dims[0]: CHUNKING.split_chunk // (math.prod(shape[1:]) * itemsize)}
     return tuple(max(1, min(size, max_sizes.get(dim, size))) for dim, size in zip(dims, shape, strict=True))
 
 
@@ -188,7 +190,7 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     if dtype.kind in "mM":
         return int(np.iinfo(np.int64).min)
     if dtype.kind in "iu":
-        return min(_INTEGER_FILL, int(np.iinfo(dtype).max))
+        return min(CHUNKING.integer_fill, int(np.iinfo(dtype).max))
     return False if dtype.kind == "b" else None
 
 

@@ -148,8 +148,11 @@ class Location:
         try:
             if self.local is not None:
                 mode = os.stat(key).st_mode
-                if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading a pipe would never end
-                    raise IncompleteStoreError(f"{key:.200} is not a regular file", code="file-not-plain")
+                IncompleteStoreError.raise_if(
+                    not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)),
+                    f"{key:.200} is not a regular file",
+                    code="file-not-plain",
+                )
             size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
             IncompleteStoreError.raise_if(
                 limit is not None and size > limit,
@@ -193,15 +196,17 @@ class Location:
             code="file-too-large",
         )
         try:
-            document = json.loads(raw)
+            document: dict[str, Any] = json.loads(raw)
         except (ValueError, RecursionError) as error:
             raise IncompleteStoreError(
                 f"{self.key(*parts)} is damaged: {error!s:.200}", code="metadata-damaged"
             ) from None
-        if not isinstance(document, dict):
-            raise IncompleteStoreError(
-                f"{self.key(*parts)} is damaged", expected="a JSON object", code="metadata-damaged"
-            )
+        IncompleteStoreError.raise_if(
+            not isinstance(document, dict),
+            f"{self.key(*parts)} is damaged",
+            expected="a JSON object",
+            code="metadata-damaged",
+        )
         return document
 
     def metadata(self, path: str) -> dict[str, Any] | None:
@@ -209,11 +214,11 @@ class Location:
         document = self.read_json(path, METADATA)
         if document is not None:
             document.pop("consolidated_metadata", None)
-            if not isinstance(document.get("attributes", {}), dict):
-                raise IncompleteStoreError(
-                    f"{self.key(path, METADATA)} is damaged: attributes are not an object",
-                    code="metadata-damaged",
-                )
+            IncompleteStoreError.raise_if(
+                not isinstance(document.get("attributes", {}), dict),
+                f"{self.key(path, METADATA)} is damaged: attributes are not an object",
+                code="metadata-damaged",
+            )
         return document
 
     def kind(self, path: str) -> str:

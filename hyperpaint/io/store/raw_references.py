@@ -26,6 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import quote, unquote
 
@@ -51,10 +52,12 @@ from .manifest import INPUTS, clean_group
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"
 
-_FILL = 65535
-_MAX_JSON_BYTES = 2**26
-# Number of chunks that are checked in parallel.
-MAX_PARALLEL_READS = 64
+_READING = SimpleNamespace(
+    fill=65535,
+    max_json_bytes=2**26,
+    # Number of chunks that are checked in parallel.
+    max_parallel_reads=64,
+)
 _ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 # a host without user and port (icechunk ignores ports), and a path without characters of special meaning
 _REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
@@ -185,7 +188,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             dtype=cube.dtype,
             compressors=None,
             serializer=BytesCodec(endian="big" if cube.dtype.str.startswith(">") else "little"),
-            fill_value=_FILL,
+            fill_value=_READING.fill,
             dimension_names=cube.dims,
             attributes=dict(cube.attrs),
         )
@@ -288,7 +291,7 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
             keys = {"refs"}
     elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         try:
-            keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
+            keys = set(json.loads(read_limited(file, _READING.max_json_bytes, "references")))
         except FormatError:  # larger than the limit
             keys = {"refs"}
         except (ValueError, RecursionError):
@@ -363,13 +366,13 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
     with _own_errors(path):
         _, session = _session(path)
         text = zarr.open_group(session.store, mode="r").attrs.get(RAW_FILES)
-        if not isinstance(text, str):
-            raise StoreError(
-                f"{os.fspath(path)} has no list of raw files",
-                expected="a store of `hyperpaint virtual`",
-                mend="open it with icechunk and xarray.open_zarr",
-                code="raw-files-unnamed",
-            )
+        StoreError.raise_if(
+            not isinstance(text, str),
+            f"{os.fspath(path)} has no list of raw files",
+            expected="a store of `hyperpaint virtual`",
+            mend="open it with icechunk and xarray.open_zarr",
+            code="raw-files-unnamed",
+        )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
             StoreError.raise_if(
@@ -383,13 +386,13 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
             for raw in about[RAW_FILES]:
                 check_url(raw.url)
                 numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
-                if not (numbers and isinstance(raw.etag, str | None)):
-                    raise StoreError(
-                        f"{os.fspath(path)} describes a raw file by {raw!r:.200}",
-                        expected="size and time as whole numbers, the etag as text",
-                        mend=_AGAIN,
-                        code="type-wrong",
-                    )
+                StoreError.raise_if(
+                    not (numbers and isinstance(raw.etag, str | None)),
+                    f"{os.fspath(path)} describes a raw file by {raw!r:.200}",
+                    expected="size and time as whole numbers, the etag as text",
+                    mend=_AGAIN,
+                    code="type-wrong",
+                )
     return groups
 
 
@@ -449,7 +452,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
     foreign = {unquote(url) for url in scratch.all_virtual_chunk_locations()} - set(urls)
     if foreign:
         raise error(f"refers to {min(foreign)!r:.200}", "a raw file in the list of the root")
-    limit = asyncio.Semaphore(MAX_PARALLEL_READS)
+    limit = asyncio.Semaphore(_READING.max_parallel_reads)
 
     async def check(key: str, size: int | None) -> None:
         async with limit:

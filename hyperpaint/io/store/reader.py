@@ -21,6 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, overload
 
 import numpy as np
@@ -70,14 +71,18 @@ from .manifest import (
     store_state,
 )
 
-# Maximum size of a group that `load_group` reads into memory [byte].
-MAX_LOADED_BYTES = 2**30
-# Maximum size of a decoded chunk [byte]; chunks of `computing` have less than a tenth of it for any camera.
-MAX_CHUNK_BYTES = 2**30
-# Maximum size of an array with one dim, or of a chunk of texts or times, which xarray loads on opening [B].
-MAX_INDEX_BYTES = 64 * 2**20
-# Memory of a text [byte].
-TEXT_BYTES = 32
+LIMITS = SimpleNamespace(
+    # Maximum size of a group that `load_group` reads into memory [byte].
+    max_loaded_bytes=2**30,
+    # Maximum size of a decoded chunk [byte]; chunks of `computing` have less than a tenth of it for any
+    # camera.
+    max_chunk_bytes=2**30,
+    # Maximum size of an array with one dim, or of a chunk of texts or times, which xarray loads on opening
+    # [B].
+    max_index_bytes=64 * 2**20,
+    # Memory of a text [byte].
+    text_bytes=32,
+)
 # Maximum size that any files may declare [byte], and maximum ratio of declared size to file size above it.
 SMALL_BYTES, MAX_RATIO = 64 * 2**20, 1000
 # Parts of the names of codecs that run code from a file.
@@ -361,9 +366,9 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
     # Read all of a small group into memory; a group in a manifest must be unchanged.
     #
     # Raises `StoreError`: As `open_group`; a value cannot be read; or its arrays are larger than
-    # `MAX_LOADED_BYTES` together, or far larger than its files. Raises `MissingExtraError`: The package for
-    # this kind of URL is not installed.
-    opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
+    # `LIMITS.max_loaded_bytes` together, or far larger than its files. Raises `MissingExtraError`: The
+    # package for this kind of URL is not installed.
+    opened, limit = open_group(path, group or "", chunks=None), LIMITS.max_loaded_bytes
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
         StoreError.raise_if(
@@ -469,10 +474,10 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
         for entry in location.fs.zip.infolist():
             if entry.filename.endswith(METADATA_FILES):
                 yield entry.filename, entry.file_size
-            elif entry.file_size > MAX_CHUNK_BYTES:
+            elif entry.file_size > LIMITS.max_chunk_bytes:
                 raise StoreError(
                     f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes",
-                    expected=f"at most {MAX_CHUNK_BYTES}",
+                    expected=f"at most {LIMITS.max_chunk_bytes}",
                     code="file-too-large",
                 )
     else:
@@ -496,8 +501,12 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
         is_text = dtype.kind in "OT"
         known = not is_text or any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String"))
         # sizes; of shards, zarr reads the inner chunks one by one
-        item = TEXT_BYTES if is_text else dtype.itemsize
-        limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
+        item = LIMITS.text_bytes if is_text else dtype.itemsize
+        limit = (
+            LIMITS.max_index_bytes
+            if is_text or "since" in str(array.attrs.get("units"))
+            else LIMITS.max_chunk_bytes
+        )
         for is_wrong, found, expected, code in (
             (code_codec, f"codec {code_codec!r}, which runs code in the file", "", "codec-runs-code"),
             (not known, f"data type {metadata.dtype!s:.80}", "numbers, times or text", "type-wrong"),
@@ -516,7 +525,7 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
             index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
     for size, most, unit in (
         (chunks, MAX_CHUNKS, "chunks"),
-        (index_bytes, MAX_INDEX_BYTES, "bytes of an array with one dim"),
+        (index_bytes, LIMITS.max_index_bytes, "bytes of an array with one dim"),
     ):
         problems.add_if(size > most, f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
     problems.raise_if_any()
@@ -1000,7 +1009,7 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
     ]
 
     def end(key: str) -> bytes | str:
-        encoded = location.read(array_path, key, limit=MAX_CHUNK_BYTES)
+        encoded = location.read(array_path, key, limit=LIMITS.max_chunk_bytes)
         if encoded is None:
             return "the chunk is missing [chunk-missing]"
         return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
@@ -1037,6 +1046,6 @@ def _other_chunks(location: Location, source: Any, array_path: str) -> tuple[int
     positions = list(
         np.ndindex(*(-(-size // max(step, 1)) for size, step in zip(array.shape, array.chunks, strict=True)))
     )
-    is_large = array.nbytes > MAX_CHUNK_BYTES // 8 * len(positions)  # chunks are read one by one
+    is_large = array.nbytes > LIMITS.max_chunk_bytes // 8 * len(positions)  # chunks are read one by one
     with ThreadPoolExecutor(1 if is_large else os.cpu_count()) as pool:
         return len(positions), [text for text in pool.map(state, positions) if text]

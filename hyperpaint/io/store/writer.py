@@ -34,6 +34,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, get_args
 from urllib.parse import quote, unquote
 
@@ -101,12 +102,14 @@ from .reader import (
 )
 
 _ROOT = "%root"
-# Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
-_PATIENCE_S = 3.0
-# Age from which an empty lock was left by a power failure [s]: a writer fills its lock at once.
-_EMPTY_AGE_S = 30.0
-_MAX_LOCK_BYTES = 1024
-_TRIES = 20
+_LOCK = SimpleNamespace(
+    # Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
+    patience_s=3.0,
+    # Age from which an empty lock was left by a power failure [s]: a writer fills its lock at once.
+    empty_age_s=30.0,
+    max_lock_bytes=1024,
+    tries=20,
+)
 _MARK = "hyperpaint"
 _MARK_TEXT = b"hyperpaint builds a store here, and removes this folder in the end; nothing else belongs.\n"
 _NAMES = re.compile(
@@ -279,11 +282,11 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
     # not a singleton, so that two threads of this process exclude each other
     holder = filelock.SoftFileLock(lock, poll_interval=0.05, thread_local=False, is_singleton=False)
-    for _ in range(_TRIES):
+    for _ in range(_LOCK.tries):
         _check_folder(lock, store)
         lock.parent.mkdir(parents=True, exist_ok=True)
         try:
-            holder.acquire(timeout=_PATIENCE_S if holder.pid is None else 0.0)
+            holder.acquire(timeout=_LOCK.patience_s if holder.pid is None else 0.0)
         except FileNotFoundError:  # the previous writer has just removed the folder
             continue
         except filelock.Timeout:
@@ -334,7 +337,7 @@ def _check_folder(lock: Path, store: Path) -> None:
     mark = files.get(_MARK)
     text = head_of(folder / _MARK, 200) if mark is not None and stat.S_ISREG(mark.st_mode) else None
     status = files.pop(lock.name, None)
-    if status is not None and (not stat.S_ISREG(status.st_mode) or status.st_size > _MAX_LOCK_BYTES):
+    if status is not None and (not stat.S_ISREG(status.st_mode) or status.st_size > _LOCK.max_lock_bytes):
         raise StoreError(
             f"{lock} is a link, a folder, a pipe or a file of {status.st_size} bytes",
             expected="a small file of a writer",
@@ -348,7 +351,7 @@ def _check_folder(lock: Path, store: Path) -> None:
             mend="move it away, or choose another path for the store; nothing in it was changed",
             code="staging-foreign",
         )
-    if status is not None and not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
+    if status is not None and not status.st_size and time.time() - status.st_mtime > _LOCK.empty_age_s:
         lock.unlink(missing_ok=True)
 
 
