@@ -5,6 +5,7 @@ the sky in view. The record itself gives the diffuse fraction; since the tilt ch
 fraction is derived a second time from the corrected record.
 """
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,23 +39,26 @@ _NODES_NM = np.array([350.0, 400, 450, 500, 550, 600, 700, 800, 900, 1000, 1300,
 _CLEAR, _HAZY, _OVERCAST, _CONTRADICTORY = (
     SKY_STATES.index(word) for word in ("clear", "hazy", "overcast", "contradictory")
 )
-#: Zenith angle of the sun above which nothing is corrected: there, a degree of attitude changes direct light
-#: by a tenth.
-MAX_ZENITH_DEG = 80.0
-#: Tilt above which a sample is left out [degree]: survey aircraft do not bank so far.
-MAX_TILT_DEG = 30.0
-#: Longest interval over which attitude is interpolated [s]; it is held constant for a quarter of that time.
-MAX_GAP_S = 1.0
-#: Duration for which one split is used [s]: air and sun change little.
-SAME_SKY_S = 600.0
-#: Width of the intervals in which the dependence on attitude is fitted to the record [nm].
-FIT_INTERVAL_NM = 50.0
-#: Prior standard deviation of the fitted dependence [1].
-FIT_PRIOR_SD = 0.03
-#: Fewest steps from sample to sample for the fit.
-MIN_FIT_STEPS = 8
-#: Most samples whose sky is determined, evenly spaced.
-MAX_SKY_SAMPLES = 200
+LEVELLING = SimpleNamespace(
+    #: Zenith angle of the sun above which nothing is corrected: there, a degree of attitude changes direct
+    #: light by a tenth.
+    max_zenith_deg=80.0,
+    #: Tilt above which a sample is left out [degree]: survey aircraft do not bank so far.
+    max_tilt_deg=30.0,
+    #: Longest interval over which attitude is interpolated [s]; it is held constant for a quarter of that
+    #: time.
+    max_gap_s=1.0,
+    #: Duration for which one split is used [s]: air and sun change little.
+    same_sky_s=600.0,
+    #: Width of the intervals in which the dependence on attitude is fitted to the record [nm].
+    fit_interval_nm=50.0,
+    #: Prior standard deviation of the fitted dependence [1].
+    fit_prior_sd=0.03,
+    #: Fewest steps from sample to sample for the fit.
+    min_fit_steps=8,
+    #: Most samples whose sky is determined, evenly spaced.
+    max_sky_samples=200,
+)
 
 
 class _Sensor(NamedTuple):
@@ -192,131 +196,6 @@ def level_irradiance(
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
     channels = channels_of(record)
-    sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
-    usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
-    SchemaError.raise_if(
-        not usable.any(),
-        "no sample of the light sensor has an attitude",
-        mend="pass navigation that covers the record",
-        code="attitude-missing",
-    )
-    if not usable.all():
-        warn_user(
-            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
-            "attitude-missing",
-        )
-    is_low = sensor.zenith > MAX_ZENITH_DEG
-    if is_low[usable].any():
-        warn_user(
-            f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees",
-            "sun-low",
-        )
-    spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
-    factor = np.ones(spectra.shape)
-    correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
-    sky = "the sun too low"
-    if correctable.size:
-        factor, sky = _factor(spectra, stamps, channels, sensor, correctable)
-        factor[is_low] = 1.0
-    level = record.copy(data=(spectra / factor).astype(np.float32))
-    tilt = xr.DataArray(sensor.tilt.astype(np.float32), dims=(IRRADIANCE_TIME,))
-    levelled = irradiance.assign(
-        irradiance=label(level, "irradiance"), irradiance_tilt=label(tilt, "irradiance_tilt")
-    )
-    return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {sky}")
-
-
-def _factor(
-    spectra: Floats, stamps: Array, channels: Floats, sensor: _Sensor, usable: Array
-) -> tuple[Floats, str]:
-    # Return the factor of all samples (sample, channel), from the `usable` samples, and the name of the sky.
-    sky_samples = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
-    _, state = _split(spectra[sky_samples], stamps[sky_samples], channels, sensor.place)
-    if np.mean(state == _OVERCAST) > 0.5:
-        return np.full(spectra.shape, sensor.sky_response()), "overcast, its attitude without effect"
-    clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
-    # gain of clear-sky diffuse light per unit of lean, one for sun zenith angles within half a degree
-    suns, sun_of_sample = np.unique(np.round(2.0 * sensor.zenith) / 2.0, return_inverse=True)
-    gain = np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
-    factor = sensor.factor(clear, clear * gain)
-    # periods of SAME_SKY_S, each with one split
-    seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
-    periods = max(1, round(float(np.ptp(seconds)) / SAME_SKY_S))
-    period = np.minimum((seconds / (np.ptp(seconds) + 1.0) * periods).astype(np.int64), periods - 1)
-    # the first pass corrects under a modelled clear sky, the second under the sky that the first one finds
-    for _ in range(2):
-        fraction, state = _split((spectra / factor)[sky_samples], stamps[sky_samples], channels, sensor.place)
-        is_explained = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
-        diffuse, by_lean = clear.copy(), clear * gain
-        for number in range(periods):
-            inside, is_fitted = period == number, is_explained & (period[sky_samples] == number)
-            if is_fitted.any():
-                diffuse[inside] = np.median(fraction[is_fitted], axis=0)
-                is_bright = np.isin(state[is_fitted], (_CLEAR, _HAZY)).mean() > 0.5
-                by_lean[inside] = diffuse[inside] * gain[inside] if is_bright else 0.0
-            # add the dependence on lean that remains in the corrected record
-            rows = usable[period[usable] == number]
-            factors = sensor.factor(diffuse, by_lean)[rows]
-            linear, quadratic = _residual_by_lean(
-                spectra[rows], factors, sensor.lean[rows], seconds[rows], channels
-            )
-            by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
-        factor = sensor.factor(diffuse, by_lean)
-    if (state == _CONTRADICTORY).mean() > 0.5:
-        warn_user(
-            "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
-            "sky-unknown",
-        )
-    return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
-
-
-def _residual_by_lean(
-    spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
-) -> tuple[Floats, Floats]:
-    # Return the change of `factor` per unit of lean, and per unit of lean squared, both (channel,).
-    # It is a robust fit of changes from sample to sample, during which the light changes little: logarithm
-    # of spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get
-    # zero.
-    change = np.diff(seconds)
-    is_near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
-    powers = np.stack([lean, lean**2], axis=1)
-    nodes = np.arange(channels.min(), channels.max() + FIT_INTERVAL_NM, FIT_INTERVAL_NM)
-    slopes = np.zeros((nodes.size, 2))
-    for row, node in enumerate(nodes):
-        inside = np.abs(channels - node) <= FIT_INTERVAL_NM / 2.0
-        light = np.nan_to_num(spectra[:, inside]).sum(axis=1)
-        if is_near.sum() < MIN_FIT_STEPS or not inside.any() or not (light > 0.0).all():
-            continue
-        mean_factor = factor[:, inside].mean(axis=1)
-        rise, steps = np.diff(np.log(light / mean_factor)), np.diff(powers / mean_factor[:, None], axis=0)
-        fit = slopes[row]
-        for _ in range(10):
-            residual = rise - steps @ fit
-            spread = max(1.4826 * float(np.median(np.abs(residual[is_near]))), 1e-5)
-            # steps changed by clouds are outliers
-            is_inlier = is_near & (np.abs(residual) <= 3.0 * spread)
-            x, y = steps[is_inlier] / spread, rise[is_inlier] / spread
-            fit = np.linalg.solve(x.T @ x + np.eye(2) / FIT_PRIOR_SD**2, x.T @ y)
-        slopes[row] = fit
-    linear, quadratic = (np.interp(channels, nodes, column) for column in slopes.T)
-    return linear, quadratic
-
-
-def _split(
-    spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
-) -> tuple[Floats, Array]:
-    # Return the diffuse fraction (sample, channel) and the number of the sky state (sample,).
-    rows, state = split_of_arrays(spectra, stamps, channels, place, _NODES_NM)
-    return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), state
-
-
-def _sensor(
-    stamps: Array,
-    attitude: xr.Dataset,
-    mounting: tuple[float, float, float],
-    cosine_response: xr.DataArray | None,
-    ground: float,
-) -> _Sensor:
     problems = Problems("the light sensor cannot be levelled", SchemaError)
     missing = [name for name in (*_ANGLES, *_POSITION) if name not in attitude.variables]
     time_name = next((name for name in _TIME_NAMES if name in attitude.variables), None)
@@ -332,8 +211,8 @@ def _sensor(
         code="angles-unreadable",
     )
     problems.add_if(
-        not 0.0 <= ground <= 1.0,
-        f"ground_reflectance={ground!r}",
+        not 0.0 <= ground_reflectance <= 1.0,
+        f"ground_reflectance={ground_reflectance!r}",
         expected="0 to 1",
         code="value-out-of-range",
     )
@@ -379,8 +258,8 @@ def _sensor(
         upper = np.clip(np.searchsorted(pose_seconds, seconds), 1, max(pose_seconds.size - 1, 1))
         low, high = pose_seconds[upper - 1], pose_seconds[np.minimum(upper, pose_seconds.size - 1)]
         distance = np.minimum(np.abs(seconds - low), np.abs(seconds - high))
-        is_known = ((seconds >= low) & (seconds <= high) & (high - low <= MAX_GAP_S)) | (
-            distance <= MAX_GAP_S / 4.0
+        is_known = ((seconds >= low) & (seconds <= high) & (high - low <= LEVELLING.max_gap_s)) | (
+            distance <= LEVELLING.max_gap_s / 4.0
         )
         normal = np.stack([np.interp(seconds, pose_seconds, body[:, axis]) for axis in (1, 0, 2)], axis=-1)
         normal *= np.array([1.0, 1.0, -1.0]) / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -388,4 +267,120 @@ def _sensor(
     # rounded to a kilometre, so that a crop of the line gets the same sky
     latitude, longitude = (round(float(p[is_located].mean()), 2) if is_located.any() else 0.0 for p in places)
     zenith, azimuth = solar_position(stamps, latitude, longitude)
-    return _Sensor(normal, zenith, azimuth, (latitude, longitude), response, ground)
+    sensor = _Sensor(normal, zenith, azimuth, (latitude, longitude), response, ground_reflectance)
+    usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= LEVELLING.max_tilt_deg
+    SchemaError.raise_if(
+        not usable.any(),
+        "no sample of the light sensor has an attitude",
+        mend="pass navigation that covers the record",
+        code="attitude-missing",
+    )
+    if not usable.all():
+        warn_user(
+            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
+            "attitude-missing",
+        )
+    is_low = sensor.zenith > LEVELLING.max_zenith_deg
+    if is_low[usable].any():
+        warn_user(
+            "the light sensor's attitude is not corrected with the sun beyond "
+            f"{LEVELLING.max_zenith_deg:g} degrees",
+            "sun-low",
+        )
+    spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
+    factor = np.ones(spectra.shape)
+    correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
+    sky = "the sun too low"
+    if correctable.size:
+        factor, sky = _factor(spectra, stamps, channels, sensor, correctable)
+        factor[is_low] = 1.0
+    level = record.copy(data=(spectra / factor).astype(np.float32))
+    tilt = xr.DataArray(sensor.tilt.astype(np.float32), dims=(IRRADIANCE_TIME,))
+    levelled = irradiance.assign(
+        irradiance=label(level, "irradiance"), irradiance_tilt=label(tilt, "irradiance_tilt")
+    )
+    return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {sky}")
+
+
+def _factor(
+    spectra: Floats, stamps: Array, channels: Floats, sensor: _Sensor, usable: Array
+) -> tuple[Floats, str]:
+    # Return the factor of all samples (sample, channel), from the `usable` samples, and the name of the sky.
+    sky_samples = usable[:: max(1, -(-usable.size // LEVELLING.max_sky_samples))]
+    _, state = _split(spectra[sky_samples], stamps[sky_samples], channels, sensor.place)
+    if np.mean(state == _OVERCAST) > 0.5:
+        return np.full(spectra.shape, sensor.sky_response()), "overcast, its attitude without effect"
+    clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
+    # gain of clear-sky diffuse light per unit of lean, one for sun zenith angles within half a degree
+    suns, sun_of_sample = np.unique(np.round(2.0 * sensor.zenith) / 2.0, return_inverse=True)
+    gain = np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
+    factor = sensor.factor(clear, clear * gain)
+    # periods of LEVELLING.same_sky_s, each with one split
+    seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
+    periods = max(1, round(float(np.ptp(seconds)) / LEVELLING.same_sky_s))
+    period = np.minimum((seconds / (np.ptp(seconds) + 1.0) * periods).astype(np.int64), periods - 1)
+    # the first pass corrects under a modelled clear sky, the second under the sky that the first one finds
+    for _ in range(2):
+        fraction, state = _split((spectra / factor)[sky_samples], stamps[sky_samples], channels, sensor.place)
+        is_explained = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
+        diffuse, by_lean = clear.copy(), clear * gain
+        for number in range(periods):
+            inside, is_fitted = period == number, is_explained & (period[sky_samples] == number)
+            if is_fitted.any():
+                diffuse[inside] = np.median(fraction[is_fitted], axis=0)
+                is_bright = np.isin(state[is_fitted], (_CLEAR, _HAZY)).mean() > 0.5
+                by_lean[inside] = diffuse[inside] * gain[inside] if is_bright else 0.0
+            # add the dependence on lean that remains in the corrected record
+            rows = usable[period[usable] == number]
+            factors = sensor.factor(diffuse, by_lean)[rows]
+            linear, quadratic = _residual_by_lean(
+                spectra[rows], factors, sensor.lean[rows], seconds[rows], channels
+            )
+            by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
+        factor = sensor.factor(diffuse, by_lean)
+    if (state == _CONTRADICTORY).mean() > 0.5:
+        warn_user(
+            "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+            "sky-unknown",
+        )
+    return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
+
+
+def _residual_by_lean(
+    spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
+) -> tuple[Floats, Floats]:
+    # Return the change of `factor` per unit of lean, and per unit of lean squared, both (channel,).
+    # It is a robust fit of changes from sample to sample, during which the light changes little: logarithm
+    # of spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get
+    # zero.
+    change = np.diff(seconds)
+    is_near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
+    powers = np.stack([lean, lean**2], axis=1)
+    nodes = np.arange(channels.min(), channels.max() + LEVELLING.fit_interval_nm, LEVELLING.fit_interval_nm)
+    slopes = np.zeros((nodes.size, 2))
+    for row, node in enumerate(nodes):
+        inside = np.abs(channels - node) <= LEVELLING.fit_interval_nm / 2.0
+        light = np.nan_to_num(spectra[:, inside]).sum(axis=1)
+        if is_near.sum() < LEVELLING.min_fit_steps or not inside.any() or not (light > 0.0).all():
+            continue
+        mean_factor = factor[:, inside].mean(axis=1)
+        rise, steps = np.diff(np.log(light / mean_factor)), np.diff(powers / mean_factor[:, None], axis=0)
+        fit = slopes[row]
+        for _ in range(10):
+            residual = rise - steps @ fit
+            spread = max(1.4826 * float(np.median(np.abs(residual[is_near]))), 1e-5)
+            # steps changed by clouds are outliers
+            is_inlier = is_near & (np.abs(residual) <= 3.0 * spread)
+            x, y = steps[is_inlier] / spread, rise[is_inlier] / spread
+            fit = np.linalg.solve(x.T @ x + np.eye(2) / LEVELLING.fit_prior_sd**2, x.T @ y)
+        slopes[row] = fit
+    linear, quadratic = (np.interp(channels, nodes, column) for column in slopes.T)
+    return linear, quadratic
+
+
+def _split(
+    spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
+) -> tuple[Floats, Array]:
+    # Return the diffuse fraction (sample, channel) and the number of the sky state (sample,).
+    rows, state = split_of_arrays(spectra, stamps, channels, place, _NODES_NM)
+    return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), state

@@ -20,7 +20,6 @@ from hyperpaint.base import (
     VARIABLES,
     Array,
     ArrayLike,
-    Bools,
     Floats,
     Ints,
     Problems,
@@ -43,18 +42,6 @@ SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
 SPLIT = ("diffuse_fraction", "diffuse_fraction_u", "sky_state")
 
 _SHOWN_NM = (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0, 750.0, 800.0, 850.0, 900.0, 950.0, 1000.0)
-
-
-def sun_distance_factor(time: Array) -> Floats:
-    """Return extraterrestrial irradiance relative to one astronomical unit (time,), to 0.1 % [1].
-
-    Examples
-    --------
-    >>> sun_distance_factor(np.array(["2024-01-04", "2024-07-04"], "datetime64[ns]")).round(3)
-    array([1.033, 0.967])
-    """
-    days = (np.asarray(time).astype("datetime64[s]") - np.datetime64("2000-01-04")).astype(np.float64) / 86400
-    return np.asarray(1.0 + 0.0334 * np.cos(2.0 * np.pi * days / 365.25))
 
 
 @takes_quantities(latitude="degree", longitude="degree", calibration_uncertainty="1", wavelength="nm")
@@ -217,7 +204,9 @@ def _split(
     windows = windows_in(channels)
     is_used = windows.operator.any(axis=0)
     means = spectra[:, is_used] @ windows.operator[:, is_used].T
-    means /= sun_distance_factor(time)[:, None]
+    # the light at the mean distance of the sun
+    days = (np.asarray(time).astype("datetime64[s]") - np.datetime64("2000-01-04")).astype(np.float64) / 86400
+    means /= np.asarray(1.0 + 0.0334 * np.cos(2.0 * np.pi * days / 365.25))[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
@@ -272,7 +261,13 @@ def split_of_lines(
         record.data, samples, channels, wavelength, (*place, calibration_uncertainty, 101_325.0), sun_zenith
     )
     parts: list[list[Any]] = [[], [], []]
-    for rows in np.split(variables["time"].values, _block_starts(line)):
+    # blocks are the chunks of the cube
+    starts = list(range(1024, line.sizes[ALONG_TRACK], 1024))
+    for name in ("counts", "radiance", "reflectance"):
+        if name in line.variables and line[name].chunks is not None:
+            lines_of_blocks = line[name].variable.chunksizes.get(ALONG_TRACK, ())
+            starts = [int(start) for start in np.cumsum(lines_of_blocks)[:-1]]
+    for rows in np.split(variables["time"].values, starts):
         block = dask.delayed(_at_lines, nout=3)(split_of_record, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
@@ -280,16 +275,6 @@ def split_of_lines(
     columns = zip(SPLIT, ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,)), parts, strict=True)
     split = xr.Dataset({name: (dims, da.concatenate(blocks)) for name, dims, blocks in columns})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
-
-
-def _block_starts(line: xr.Dataset) -> list[int]:
-    # Return the first line of every block but the first; blocks are the chunks of the cube.
-    for name in ("reflectance", "radiance", "counts"):
-        if name in line.variables and line[name].chunks is not None:
-            return [
-                int(start) for start in np.cumsum(line[name].variable.chunksizes.get(ALONG_TRACK, ()))[:-1]
-            ]
-    return list(range(1024, line.sizes[ALONG_TRACK], 1024))
 
 
 def _at_lines(
@@ -389,16 +374,18 @@ RULES = SimpleNamespace(
 )
 
 
-#: Number of drawn states of the air; clouds are drawn over each.
-_N_AIR_STATES = 512
-_DRAWS_PER_STATE = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
+PRIOR = SimpleNamespace(
+    #: Number of drawn states of the air; clouds are drawn over each.
+    n_air_states=512,
+    draws_per_state={"air": 1, "thin": 2, "broken": 4, "overcast": 2},
+    #: Wavelengths of an interval at which the model is evaluated.
+    points_per_window=5,
+)
 NODES_NM = np.array(
     [300.0, 350, 380, 410, 450, 500, 550, 600, 650, 700, 760, 830, 900, 1000, 1200, 1600, 2500]
 )
 #: Zenith angle of the sun above which the sky's state is not determined [degree].
 MAX_SUN_ZENITH_DEG = 88.0
-#: Wavelengths of an interval at which the model is evaluated.
-POINTS_PER_WINDOW = 5
 
 
 class _Draws(NamedTuple):
@@ -418,8 +405,8 @@ def _draws() -> _Draws:
     rng = np.random.default_rng(19_590)
     # one stratum per draw, so that a few hundred draws fill the range
     strata = (
-        np.argsort(rng.random((6, _N_AIR_STATES)), axis=1) + rng.random((6, _N_AIR_STATES))
-    ) / _N_AIR_STATES
+        np.argsort(rng.random((6, PRIOR.n_air_states)), axis=1) + rng.random((6, PRIOR.n_air_states))
+    ) / PRIOR.n_air_states
     from scipy.special import ndtri
 
     normal = ndtri(strata)
@@ -435,7 +422,7 @@ def _draws() -> _Draws:
     )
     parts = []
     for number, name in enumerate(KINDS):
-        count = _N_AIR_STATES * _DRAWS_PER_STATE[name]
+        count = PRIOR.n_air_states * PRIOR.draws_per_state[name]
         u = rng.random((5, count))
         ones, zeros = np.ones(count), np.zeros(count)
         tint = 0.3 * u[0]
@@ -451,7 +438,7 @@ def _draws() -> _Draws:
             amounts = beam, 1.0 - cover, zeros, cover * (0.15 + 0.4 * u[3])
         else:
             amounts = zeros, zeros, zeros, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
-        air = np.tile(np.arange(_N_AIR_STATES), _DRAWS_PER_STATE[name])
+        air = np.tile(np.arange(PRIOR.n_air_states), PRIOR.draws_per_state[name])
         parts.append((np.full(count, number), air, *amounts, tint))
     kind, air, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Draws(kind, air, beam, blue, returned, cloud, tint, states)
@@ -497,7 +484,7 @@ def _clear_light(
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
-    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
+    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * PRIOR.points_per_window + 1)[1::2]
     points = np.array(centres)[:, None] + steps
     table = sunlight_table()
     above = np.cos(np.radians(sun_zenith)) * np.interp(points, table.wavelength, table.extraterrestrial)
@@ -645,7 +632,20 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # posterior of kinds of sky and widths of the level
     log, means, mean_squares, means_without_cloud, turbid, best = _posterior(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
-    variation = _variation(evidence)
+    # log likelihood of the level's changes under each kind of sky (sample, kind).
+    sun_cosine = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
+    level = evidence.level.mean(axis=1) - np.log(sun_cosine)
+    level = level - level.mean()
+    mean = _window_means(level, evidence.seconds)
+    spread = np.sqrt(np.maximum(_window_means(level**2, evidence.seconds) - mean**2, 0.0))
+    # a record of a few seconds shows only a small part of the changes of a minute
+    first, last = _window_of(evidence.seconds)
+    span = (evidence.seconds[last - 1] - evidence.seconds[first]) / (2.0 * RULES.window_s)
+    log_spread = np.log(np.maximum(spread, 1e-3))[:, None]
+    with np.errstate(divide="ignore"):
+        below = np.maximum(np.log(RULES.calm) - log_spread, 0.0) / np.array(RULES.calm_spread)
+    above = np.maximum(log_spread - np.log(RULES.restless), 0.0) / RULES.restless_spread
+    variation = np.asarray(-0.5 * (below**2 * np.minimum(span, 1.0)[:, None] + above**2))
     logs = _window_means(log, evidence.seconds) + prior + variation[:, None, :]
     share = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
     total = share.sum(axis=(1, 2))
@@ -678,14 +678,6 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # under broken cloud, a shadow reaches receiver and ground at different times, except in free sun
     departure = fraction - fraction.mean(axis=0)
     square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
-    square[_has_free_sun(evidence)] = 0.0
-    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
-    node_550 = int(np.abs(NODES_NM - 550.0).argmin())
-    cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
-    return fraction, u, probability, np.clip(cloud, 0.0, 1.0)
-
-
-def _has_free_sun(evidence: Evidence) -> Bools:
     # Return whether no cloud hides the sun for some seconds around a sample (sample,).
     #
     # The light is then steady, with both neighbours in the record, and as bright as the brightest moments of
@@ -699,7 +691,11 @@ def _has_free_sun(evidence: Evidence) -> Bools:
             near = level[min(start[sample], sample - 1) : max(stop[sample], sample + 2)]
             lowest = RULES.free * np.quantile(level[slice(*around)], RULES.bright)
             is_free[sample] = near.min() > max(lowest, RULES.steady * near.max())
-    return is_free
+    square[is_free] = 0.0
+    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
+    node_550 = int(np.abs(NODES_NM - 550.0).argmin())
+    cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
+    return fraction, u, probability, np.clip(cloud, 0.0, 1.0)
 
 
 def _window_of(seconds: Floats, half_s: float = RULES.window_s) -> tuple[Ints, Ints]:
@@ -713,20 +709,3 @@ def _window_means(values: Floats, seconds: Floats) -> Floats:
     first, last = _window_of(seconds)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
-
-
-def _variation(evidence: Evidence) -> Floats:
-    # Return the log likelihood of the level's changes under each kind of sky (sample, kind).
-    sun_cosine = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
-    level = evidence.level.mean(axis=1) - np.log(sun_cosine)
-    level = level - level.mean()
-    mean = _window_means(level, evidence.seconds)
-    spread = np.sqrt(np.maximum(_window_means(level**2, evidence.seconds) - mean**2, 0.0))
-    # a record of a few seconds shows only a small part of the changes of a minute
-    first, last = _window_of(evidence.seconds)
-    span = (evidence.seconds[last - 1] - evidence.seconds[first]) / (2.0 * RULES.window_s)
-    log_spread = np.log(np.maximum(spread, 1e-3))[:, None]
-    with np.errstate(divide="ignore"):
-        below = np.maximum(np.log(RULES.calm) - log_spread, 0.0) / np.array(RULES.calm_spread)
-    above = np.maximum(log_spread - np.log(RULES.restless), 0.0) / RULES.restless_spread
-    return np.asarray(-0.5 * (below**2 * np.minimum(span, 1.0)[:, None] + above**2))

@@ -13,6 +13,7 @@ spectrometer; `timing_sensitivity` bounds the error that it could cause.
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,11 +46,13 @@ from .sun import diffuse_fraction, solar_position
 
 #: Relative change of the 400-1000 nm irradiance between two samples above which the light is unstable.
 UNSTABLE_CHANGE = 0.02
-LOW_SUN_ZENITH = 75.0
-#: Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s.
-UNKNOWN_CLOCK = 40.0
-#: Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive.
-TIMING_EFFECT = 0.01
+DOUBT = SimpleNamespace(
+    low_sun_zenith=75.0,
+    #: Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s.
+    unknown_clock=40.0,
+    #: Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive.
+    timing_effect=0.01,
+)
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def line_light(
     # negative value marks a sample to leave out. ``max_gap`` is the longest interval that is interpolated
     # [s], 2.5 median intervals by default; without the camera's ``latitude`` and ``longitude`` (line,)
     # [degree] the sun's height is not judged; ``clock_uncertainty`` is how far the clocks of camera and
-    # spectrometer may disagree [s], `UNKNOWN_CLOCK` by default.
+    # spectrometer may disagree [s], `DOUBT.unknown_clock` by default.
     #
     # Raises `TimeError`: Irradiance times do not increase, are missing, or there is no valid sample. Raises
     # `SchemaError`: ``max_gap`` or ``clock_uncertainty`` is out of range.
@@ -126,16 +129,16 @@ def line_light(
     level = levels[valid].sum(axis=1)
     change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
     has_no_light = outside | gap | missing
-    max_offset = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
+    max_offset = DOUBT.unknown_clock if clock_uncertainty is None else clock_uncertainty
     sensitivity = timing_sensitivity(stamps, ticks, levels[valid], max_offset)
     sensitivity[has_no_light] = np.nan
     flags = np.zeros(lines.shape, np.uint16)
     flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
     flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
-    flags[sensitivity > TIMING_EFFECT] |= np.uint16(Quality.TIMING_SENSITIVE)
+    flags[sensitivity > DOUBT.timing_effect] |= np.uint16(Quality.TIMING_SENSITIVE)
     if latitude is not None and longitude is not None:
         zenith, _ = solar_position(lines, latitude, longitude)
-        flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
+        flags[np.nan_to_num(zenith, nan=0.0) > DOUBT.low_sun_zenith] |= np.uint16(Quality.LOW_SUN)
     flags[missing] = Quality.NO_DATA
     return LineLight(
         valid[low].astype(np.int64),
@@ -709,13 +712,15 @@ INTERPOLATED = 2.0 / 3.0
 COMMON_SHARE = 0.9
 #: Minimum and maximum number of triples of successive samples for an estimate of noise.
 MIN_TRIPLES, MAX_TRIPLES = 4, 256
-#: Number of spectra whose mean gives the level of a record.
-MAX_MEAN_SPECTRA = 64
-_WINDOW_CHANNELS = 21
-#: Longest interval between neighbouring samples [median intervals].
-MAX_INTERVALS = 2.5
-#: Standard deviation over median absolute deviation of a normal distribution [1].
-SD_PER_MEDIAN_DEVIATION = 1.4826
+NOISE = SimpleNamespace(
+    #: Number of spectra whose mean gives the level of a record.
+    max_mean_spectra=64,
+    window_channels=21,
+    #: Longest interval between neighbouring samples [median intervals].
+    max_intervals=2.5,
+    #: Standard deviation over median absolute deviation of a normal distribution [1].
+    sd_per_median_deviation=1.4826,
+)
 
 
 def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
@@ -724,7 +729,7 @@ def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
     # The first is the mean of the record (band,) [W m-2 nm-1], the second a covariance (band, band) relative
     # to it [1]. Zero without ``irradiance_u_random``.
     record = arrays["irradiance"]
-    sample_numbers = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
+    sample_numbers = np.linspace(0, len(record) - 1, min(len(record), NOISE.max_mean_spectra)).astype(np.intp)
     spectra = np.asarray(record[sample_numbers], np.float64)
     is_finite = np.isfinite(spectra)
     mean = np.where(is_finite, spectra, 0.0).sum(axis=0) / np.maximum(is_finite.sum(axis=0), 1)
@@ -767,7 +772,7 @@ def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) 
 
     seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9
     steps = np.diff(seconds)
-    is_near = steps <= MAX_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
+    is_near = steps <= NOISE.max_intervals * np.median(steps) if steps.size else np.zeros(0, bool)
     middle_samples = np.flatnonzero(is_near[:-1] & is_near[1:]) + 1
     if middle_samples.size < fewest:
         return None
@@ -785,7 +790,7 @@ def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) 
         middle_samples[is_complete],
         is_valid[:, is_complete].all(axis=(0, 1)),
     )
-    if is_usable.sum() < _WINDOW_CHANNELS:
+    if is_usable.sum() < NOISE.window_channels:
         return None
     # departure from the straight line in time, scaled to one sample, minus departure of neighbouring channels
     before, centre, after = np.log(triples[:, :, is_usable])
@@ -795,12 +800,12 @@ def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) 
     )[:, None]
     departure = centre - (before + weight * (after - before))
     departure /= np.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
-    is_neighbour = np.ones((1, _WINDOW_CHANNELS), bool)
-    is_neighbour[0, _WINDOW_CHANNELS // 2] = False
+    is_neighbour = np.ones((1, NOISE.window_channels), bool)
+    is_neighbour[0, NOISE.window_channels // 2] = False
     departure -= ndimage.median_filter(departure, footprint=is_neighbour)
-    spread = SD_PER_MEDIAN_DEVIATION * np.median(np.abs(departure), axis=0)
+    spread = NOISE.sd_per_median_deviation * np.median(np.abs(departure), axis=0)
     # the median of n neighbours has pi / (2 n) of the variance of a single one
-    spread = ndimage.median_filter(spread, _WINDOW_CHANNELS) / np.sqrt(
+    spread = ndimage.median_filter(spread, NOISE.window_channels) / np.sqrt(
         1.0 + np.pi / (2.0 * is_neighbour.sum())
     )
     channels = np.arange(is_usable.size)
