@@ -16,6 +16,7 @@ irradiance; several white references in time add the change of the light, ``whit
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
@@ -86,21 +87,23 @@ from .planning import (
 from .stray_light import OF_ELEMENTS, STRAY_SOURCES, TABLE, Linearity, described
 from .uncertainty import UNCERTAINTIES, with_uncertainty
 
-#: Share of saturated elements [1] above which a white reference is refused; fewer become bad elements.
-MAX_SATURATED_SHARE = 0.01
-#: Light of an element over its standard uncertainty, below which the element is bad.
-MIN_SIGNIFICANCE = 3.0
-#: Share of elements with light [1] below which a white reference is refused.
-MIN_LIT_SHARE = 0.5
-#: Relative deviation of lines of a white reference from their median [1].
-MAX_LINE_DEVIATION = 0.05
-#: Share of lines that may deviate by more [1]: beyond, the cube shows more than the tile.
-MAX_DEVIATING_LINE_SHARE = 0.02
-#: Difference between the wavelengths of the headers of white and scene that is refused [nm].
-MAX_WAVELENGTH_DIFFERENCE_NM = 0.5
-#: Change of the light between two white references that differs between columns [1], above which tile or lamp
-#: have moved.
-MAX_COLUMN_CHANGE = 0.02
+TILE = SimpleNamespace(
+    #: Share of saturated elements [1] above which a white reference is refused; fewer become bad elements.
+    max_saturated_share=0.01,
+    #: Light of an element over its standard uncertainty, below which the element is bad.
+    min_significance=3.0,
+    #: Share of elements with light [1] below which a white reference is refused.
+    min_lit_share=0.5,
+    #: Relative deviation of lines of a white reference from their median [1].
+    max_line_deviation=0.05,
+    #: Share of lines that may deviate by more [1]: beyond, the cube shows more than the tile.
+    max_deviating_line_share=0.02,
+    #: Difference between the wavelengths of the headers of white and scene that is refused [nm].
+    max_wavelength_difference_nm=0.5,
+    #: Change of the light between two white references that differs between columns [1], above which tile or
+    #: lamp have moved.
+    max_column_change=0.02,
+)
 
 #: Variables of a white reference.
 WHITE_VARIABLES = (
@@ -249,10 +252,97 @@ def white_reference(
         tile_uncertainty or 0.0,
         surface=tile_surface,
     )
-    reflectance, surface_u = _tile_of_bands(line, certified, light_zenith, direct_share)
+    # Return the reflectance factor of the tile in every band, and the uncertainty by its surface.
+    bands = line["wavelength"].values if "wavelength" in line.coords else np.full(line.sizes[BAND], np.nan)
+    factor, surface_u = np.ones(bands.shape), 0.0
+    if not is_lambertian(certified.surface):
+        if light_zenith is None:
+            raise SchemaError(
+                "the surface of the tile is declared, but not the direction of its light",
+                mend="pass light_zenith=, the zenith angle of the lamps or the sun [degree]",
+                option="state light_zenith_deg in [reference]",
+                code="panel-light-unknown",
+            )
+        directional = panel_factor(bands, light_zenith, surface=certified.surface, direct_share=direct_share)
+        factor, surface_u = directional.factor, float(np.nanmax(directional.u, initial=0.0))
+    SchemaError.raise_if(
+        "wavelength" not in line.coords and (np.ndim(certified.reflectance) or np.isnan(factor).any()),
+        "the certificate or the factors of a tile, and a cube without wavelengths",
+        mend="add a coordinate wavelength (band) [nm], or pass tile= as a number",
+        code="wavelength-missing",
+    )
+    reflectance: Floats = certified.at(bands) * factor
+    if (missing := np.isnan(reflectance)).any():
+        warn_user(
+            f"the certificate of the tile does not cover {missing.sum()} of {missing.size} bands, which are "
+            f"NaN: {bands[missing].min():g} to {bands[missing].max():g} nm",
+            "tile-certificate-short",
+        )
     if tile_uncertainty is not None:
         tile_uncertainty = float(np.hypot(tile_uncertainty, surface_u))
-    return line.assign(_gain_variables(line, whites, limit, reflectance, tile_uncertainty)).assign_attrs(
+    # variables of a white reference: gain, its uncertainty, and the change of the light.
+    times = [each.reference.time for each in whites]
+    is_timed = "time" in line.coords and all(time is not None for time in times) and len(set(times)) > 1
+    whites = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
+    rates = np.stack([each.light / each.exposure for each in whites])
+    is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in whites], axis=0)
+    rates[:, ~is_used] = np.nan
+    warn_if(
+        saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum(),
+        f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
+        "white-saturated",
+    )
+    # light on the tile of every band, over that of the first white; bands without light keep 1
+    totals = np.nansum(rates, axis=2)
+    level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
+    # Check the change of the light (white, band) between white references, and whether columns share it.
+    change = float(np.nanmax(np.nanmedian(np.abs(level - 1.0), axis=1)))
+    SchemaError.raise_if(
+        change > UNSTABLE_CHANGE and not is_timed,
+        f"the light on the white references changes by {100 * change:.3g} %, and times of white or scene are "
+        "unknown",
+        expected=f"times, or a change of at most {100 * UNSTABLE_CHANGE:g} %",
+        mend="give scene and white a coordinate time, or name one white reference",
+        code="white-times-missing",
+    )
+    lit = np.isfinite(rates[0]).any(axis=0)
+    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
+    column_change = float(np.abs(columns - 1.0).max())
+    warn_if(
+        column_change > TILE.max_column_change,
+        f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
+        "that of the other columns: tile or lamp have moved; name the white references of this setup",
+        "white-moved",
+    )
+    rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
+    variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
+    variance = variances.sum(axis=0) / len(whites) ** 2
+    with np.errstate(invalid="ignore"):
+        values: dict[str, tuple[tuple[str, ...], Any]] = {
+            "reflectance_gain": (CUBE[1:], reflectance[:, None] / rate),
+            "reflectance_gain_u_random": (CUBE[1:], np.sqrt(variance) / rate),
+        }
+    if tile_uncertainty is not None:
+        values["reflectance_gain_u_systematic"] = ((), tile_uncertainty)
+    if is_timed:
+        stamps = np.array([each.reference.time for each in whites], "datetime64[ns]")
+        values |= {"white_level": (("white_time", BAND), level), "white_time": (("white_time",), stamps)}
+        # lines before the first or after the last white reference, whose light is not interpolated
+        known = line["time"].values[~np.isnat(line["time"].values)]
+        warn_if(
+            outside := int(((known < stamps[0]) | (known > stamps[-1])).sum()),
+            f"{outside} of {known.size} lines lie before the first or after the last white reference: "
+            "the light of the nearest one is used",
+            "white-held",
+        )
+    if electrons := _electrons_per_count(line, whites, is_used):
+        values["electrons_per_count"] = (), electrons
+    return line.assign(
+        {
+            name: label(xr.DataArray(array, dims=dims).astype(dtype_of(name)), name)
+            for name, (dims, array) in values.items()
+        }
+    ).assign_attrs(
         white_source=", ".join(str(each) for each in whites),
         white_tile=f"{tile:g}" if np.ndim(tile) == 0 and not isinstance(tile, str | Path) else "certificate",
     )
@@ -275,36 +365,36 @@ class _White(NamedTuple):
     @property
     def is_lit(self) -> Bools:
         # Whether the tile is significantly brighter than the dark.
-        return np.asarray(self.light > MIN_SIGNIFICANCE * np.sqrt(self.variance), bool)
+        return np.asarray(self.light > TILE.min_significance * np.sqrt(self.variance), bool)
 
     def check(self, limit: Any, line: xr.Dataset, problems: Problems) -> None:
         name, frames = f"white {self.reference.name}", self.reference.frames
         good = line["good"].values if "good" in line.coords else np.ones(len(self.light), bool)
         share = float(self.saturated(limit)[good].mean())
         problems.add_if(
-            share > MAX_SATURATED_SHARE,
+            share > TILE.max_saturated_share,
             f"{name}: {100 * share:.3g} % of the elements are saturated",
-            expected=f"at most {100 * MAX_SATURATED_SHARE:g} %",
+            expected=f"at most {100 * TILE.max_saturated_share:g} %",
             mend="record the tile again with a shorter exposure; the exposure of the scene may be longer",
             code="white-saturated",
         )
         lit = float(self.is_lit[good].mean())
         median = float(np.nanmedian(self.light[good]))
         problems.add_if(
-            lit < MIN_LIT_SHARE,
+            lit < TILE.min_lit_share,
             f"{name}: {100 * lit:.3g} % of the elements are brighter than the dark, by {median:.3g} counts "
             "in the median",
-            expected=f"{100 * MIN_LIT_SHARE:g} % and more",
+            expected=f"{100 * TILE.min_lit_share:g} % and more",
             mend="name the cube of the white tile, and its dark; check that they are not swapped",
             code="white-without-light",
         )
-        if lit >= MIN_LIT_SHARE:
+        if lit >= TILE.min_lit_share:
             levels = frames.line_mean - float(np.nanmean(frames.mean - self.light))
-            deviating = np.abs(levels / np.median(levels) - 1.0) > MAX_LINE_DEVIATION
+            deviating = np.abs(levels / np.median(levels) - 1.0) > TILE.max_line_deviation
             problems.add_if(
-                deviating.mean() > MAX_DEVIATING_LINE_SHARE,
+                deviating.mean() > TILE.max_deviating_line_share,
                 f"{name}: {deviating.sum()} of {deviating.size} lines differ by more than "
-                f"{100 * MAX_LINE_DEVIATION:g} % from the median",
+                f"{100 * TILE.max_line_deviation:g} % from the median",
                 expected="lines that show nothing but the tile, under steady light",
                 mend="select them: white=xr.open_dataset(path).isel(along_track=slice(10, 90))",
                 code="white-unsteady",
@@ -312,9 +402,9 @@ class _White(NamedTuple):
         if self.reference.wavelength is not None and "wavelength" in line.coords:
             difference = float(np.abs(self.reference.wavelength - line["wavelength"].values).max())
             problems.add_if(
-                difference > MAX_WAVELENGTH_DIFFERENCE_NM,
+                difference > TILE.max_wavelength_difference_nm,
                 f"{name}: its wavelengths differ by up to {difference:.3g} nm from those of the scene",
-                expected=f"at most {MAX_WAVELENGTH_DIFFERENCE_NM:g} nm",
+                expected=f"at most {TILE.max_wavelength_difference_nm:g} nm",
                 mend="name the white of this camera and binning, or mend the header that is wrong",
                 code="white-wavelength-differs",
             )
@@ -418,104 +508,6 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         variance = (freedom * frames.variance + pooled * frames.variance.mean()) / (freedom + pooled)
     dark_u = darks.variables.get("dark_counts_u_random", np.zeros(()))
     return _White(reference, exposure, frames.mean - dark, variance / frames.lines + np.square(dark_u))
-
-
-def _gain_variables(
-    line: xr.Dataset, whites: list[_White], limit: Any, reflectance: Floats, tile_uncertainty: float | None
-) -> dict[str, xr.DataArray]:
-    # Return the variables of a white reference: gain, its uncertainty, and the change of the light.
-    times = [each.reference.time for each in whites]
-    is_timed = "time" in line.coords and all(time is not None for time in times) and len(set(times)) > 1
-    whites = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
-    rates = np.stack([each.light / each.exposure for each in whites])
-    is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in whites], axis=0)
-    rates[:, ~is_used] = np.nan
-    warn_if(
-        saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum(),
-        f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
-        "white-saturated",
-    )
-    # light on the tile of every band, over that of the first white; bands without light keep 1
-    totals = np.nansum(rates, axis=2)
-    level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
-    # Check the change of the light (white, band) between white references, and whether columns share it.
-    change = float(np.nanmax(np.nanmedian(np.abs(level - 1.0), axis=1)))
-    SchemaError.raise_if(
-        change > UNSTABLE_CHANGE and not is_timed,
-        f"the light on the white references changes by {100 * change:.3g} %, and times of white or scene are "
-        "unknown",
-        expected=f"times, or a change of at most {100 * UNSTABLE_CHANGE:g} %",
-        mend="give scene and white a coordinate time, or name one white reference",
-        code="white-times-missing",
-    )
-    lit = np.isfinite(rates[0]).any(axis=0)
-    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
-    column_change = float(np.abs(columns - 1.0).max())
-    warn_if(
-        column_change > MAX_COLUMN_CHANGE,
-        f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
-        "that of the other columns: tile or lamp have moved; name the white references of this setup",
-        "white-moved",
-    )
-    rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
-    variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
-    variance = variances.sum(axis=0) / len(whites) ** 2
-    with np.errstate(invalid="ignore"):
-        values: dict[str, tuple[tuple[str, ...], Any]] = {
-            "reflectance_gain": (CUBE[1:], reflectance[:, None] / rate),
-            "reflectance_gain_u_random": (CUBE[1:], np.sqrt(variance) / rate),
-        }
-    if tile_uncertainty is not None:
-        values["reflectance_gain_u_systematic"] = ((), tile_uncertainty)
-    if is_timed:
-        stamps = np.array([each.reference.time for each in whites], "datetime64[ns]")
-        values |= {"white_level": (("white_time", BAND), level), "white_time": (("white_time",), stamps)}
-        # lines before the first or after the last white reference, whose light is not interpolated
-        known = line["time"].values[~np.isnat(line["time"].values)]
-        warn_if(
-            outside := int(((known < stamps[0]) | (known > stamps[-1])).sum()),
-            f"{outside} of {known.size} lines lie before the first or after the last white reference: "
-            "the light of the nearest one is used",
-            "white-held",
-        )
-    if electrons := _electrons_per_count(line, whites, is_used):
-        values["electrons_per_count"] = (), electrons
-    return {
-        name: label(xr.DataArray(array, dims=dims).astype(dtype_of(name)), name)
-        for name, (dims, array) in values.items()
-    }
-
-
-def _tile_of_bands(
-    line: xr.Dataset, tile: Panel, light_zenith: float | None, direct_share: float
-) -> tuple[Floats, float]:
-    # Return the reflectance factor of the tile in every band, and the uncertainty by its surface.
-    bands = line["wavelength"].values if "wavelength" in line.coords else np.full(line.sizes[BAND], np.nan)
-    factor, surface_u = np.ones(bands.shape), 0.0
-    if not is_lambertian(tile.surface):
-        if light_zenith is None:
-            raise SchemaError(
-                "the surface of the tile is declared, but not the direction of its light",
-                mend="pass light_zenith=, the zenith angle of the lamps or the sun [degree]",
-                option="state light_zenith_deg in [reference]",
-                code="panel-light-unknown",
-            )
-        directional = panel_factor(bands, light_zenith, surface=tile.surface, direct_share=direct_share)
-        factor, surface_u = directional.factor, float(np.nanmax(directional.u, initial=0.0))
-    SchemaError.raise_if(
-        "wavelength" not in line.coords and (np.ndim(tile.reflectance) or np.isnan(factor).any()),
-        "the certificate or the factors of a tile, and a cube without wavelengths",
-        mend="add a coordinate wavelength (band) [nm], or pass tile= as a number",
-        code="wavelength-missing",
-    )
-    reflectance: Floats = tile.at(bands) * factor
-    if (missing := np.isnan(reflectance)).any():
-        warn_user(
-            f"the certificate of the tile does not cover {missing.sum()} of {missing.size} bands, which are "
-            f"NaN: {bands[missing].min():g} to {bands[missing].max():g} nm",
-            "tile-certificate-short",
-        )
-    return reflectance, surface_u
 
 
 def _electrons_per_count(line: xr.Dataset, whites: list[_White], is_used: Bools) -> float | None:
@@ -827,10 +819,12 @@ def _reflectance(
     dataset = rename_to_roles(dataset)
     if isinstance(tilt, tuple) and len(tilt) == 2:
         tilt = Tilt(*tilt)
-    if tilt is not None and not isinstance(tilt, Tilt):
-        raise SchemaError(
-            f"tilt={tilt!r}", expected="hyperpaint.Tilt or (angle, azimuth) in degrees", code="type-wrong"
-        )
+    SchemaError.raise_if(
+        tilt is not None and not isinstance(tilt, Tilt),
+        f"tilt={tilt!r}",
+        expected="hyperpaint.Tilt or (angle, azimuth) in degrees",
+        code="type-wrong",
+    )
     _require_one_of(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
         SchemaError.raise_if(

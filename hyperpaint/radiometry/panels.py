@@ -330,12 +330,12 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
     observed = np.asarray(panel["observed"], np.float64)
     expected = np.asarray(panel["reflectance"], np.float64)
     is_valid = np.isfinite(observed)
-    if not is_valid.any():
-        raise SchemaError(
-            f"{panel['name']}'s region contains no valid pixel",
-            mend="outline a part that is neither saturated nor in a gap",
-            code="panel-empty",
-        )
+    SchemaError.raise_if(
+        not is_valid.any(),
+        f"{panel['name']}'s region contains no valid pixel",
+        mend="outline a part that is neither saturated nor in a gap",
+        code="panel-empty",
+    )
     ceiling = panel["ceiling"]
     if ceiling is None:  # radiance has no saturation limit: use the brightest sample
         brightest = np.where(is_valid, observed, -np.inf).max(axis=(0, 2))
@@ -700,10 +700,12 @@ def without_panels(dataset: xr.Dataset) -> xr.Dataset:
 def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
     # Return panels as a tuple; empty only for None.
     panels = () if panel is None else (panel,) if isinstance(panel, Panel) else tuple(panel)
-    if (panel is not None and not panels) or not all(isinstance(item, Panel) for item in panels):
-        raise SchemaError(
-            f"panel={panel!r:.80}", expected="hyperpaint.Panel, or several of them", code="type-wrong"
-        )
+    SchemaError.raise_if(
+        (panel is not None and not panels) or not all(isinstance(item, Panel) for item in panels),
+        f"panel={panel!r:.80}",
+        expected="hyperpaint.Panel, or several of them",
+        code="type-wrong",
+    )
     return panels
 
 
@@ -792,17 +794,17 @@ def usable_panels(closure: PanelClosure) -> Array:
     #
     # Raises SchemaError: All are refused. Warns PaintWarning: Some are refused and left out.
     refused = [reason for reason in closure.reasons if reason]
-    if len(refused) == len(closure.reasons):
-        raise SchemaError(
-            f"the panel is refused: {'; '.join(dict.fromkeys(refused))}",
-            mend="see hyperpaint.radiometry.panel_closure; outline another part of it, give its attitude, "
-            "Panel(..., tilt=(angle, azimuth)), its surface, surface='sintered-ptfe', or its uncertainty, "
-            "uncertainty=0.05, or leave out panel=",
-            option="under [[panels]] of the collect.toml give another part of it (along_track, cross_track), "
-            'its attitude, tilt = [angle, azimuth], its surface, surface = "sintered-ptfe", or its '
-            "uncertainty, uncertainty = 0.05, or leave it out",
-            code="panel-refused",
-        )
+    SchemaError.raise_if(
+        len(refused) == len(closure.reasons),
+        f"the panel is refused: {'; '.join(dict.fromkeys(refused))}",
+        mend="see hyperpaint.radiometry.panel_closure; outline another part of it, give its attitude, "
+        "Panel(..., tilt=(angle, azimuth)), its surface, surface='sintered-ptfe', or its uncertainty, "
+        "uncertainty=0.05, or leave out panel=",
+        option="under [[panels]] of the collect.toml give another part of it (along_track, cross_track), "
+        'its attitude, tilt = [angle, azimuth], its surface, surface = "sintered-ptfe", or its '
+        "uncertainty, uncertainty = 0.05, or leave it out",
+        code="panel-refused",
+    )
     if refused:
         warn_user(
             f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}",

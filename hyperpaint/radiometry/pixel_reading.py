@@ -6,6 +6,7 @@ Means of blocks of pixels: a flight line at the size of a screen, stored beside 
 """
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -43,11 +44,13 @@ from .planning import PLANS, Entry, make_plan, plan_inputs
 from .slabs import NO_CUBE, Plan, calibrate_lines, line_chunked
 from .spectral_axis import bands_at
 
-SCREEN_LINES = 1000
-#: Pixels along the side of the smallest block: stored means are at most a sixteenth of the cube.
-MIN_BLOCK_SIDE = 4
-#: Mantissa bits of a stored mean: precision and size of float16, in a type that netCDF holds.
-MEANS_BITS = 10
+SCREEN = SimpleNamespace(
+    screen_lines=1000,
+    #: Pixels along the side of the smallest block: stored means are at most a sixteenth of the cube.
+    min_block_side=4,
+    #: Mantissa bits of a stored mean: precision and size of float16, in a type that netCDF holds.
+    means_bits=10,
+)
 
 _SIDE = "block_side"
 
@@ -127,8 +130,8 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     cube = line_chunked(require(line, ["reflectance"], "means of blocks")["reflectance"])
     lines, bands, columns = cube.shape
     if side is None:
-        side = MIN_BLOCK_SIDE
-        while side < CHUNK_LINES and lines > SCREEN_LINES * side:
+        side = SCREEN.min_block_side
+        while side < CHUNK_LINES and lines > SCREEN.screen_lines * side:
             side *= 2
     # every task has complete blocks
     starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])
@@ -151,7 +154,7 @@ def _means(values: Array, side: int) -> Array:
     lines, bands, columns = values.shape
     out = np.empty((-(-lines // side), bands, -(-columns // side)), np.float32)
     average_blocks(np.ascontiguousarray(values, np.float32), side, out)
-    return round_bits(out, MEANS_BITS)
+    return round_bits(out, SCREEN.means_bits)
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:

@@ -211,11 +211,13 @@ def _split(
         return None, np.zeros(stamps.size, np.int8)
 
 
-NOISE_MARGIN_SD = 5.0
-#: Spread of a dark count if neither calibration nor dark give it [count].
-DEFAULT_READ_NOISE_COUNTS = 2.0
-BAD_BAND_SHARE = 0.05
-NEGATIVE_BAND_SHARE = 0.1
+BANDS = SimpleNamespace(
+    noise_margin_sd=5.0,
+    #: Spread of a dark count if neither calibration nor dark give it [count].
+    default_read_noise_counts=2.0,
+    bad_band_share=0.05,
+    negative_band_share=0.1,
+)
 
 
 def make_plan(
@@ -290,7 +292,19 @@ def make_plan(
     if light is not None and time is not None:
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
     elif "white_level" in cube and time is not None:
-        series, neighbours = _between_whites(cube, time)
+        # Return the light on white references as a series of a `Plan`, and the whites around every line.
+        #
+        # Light is linear in time between two whites; before the first and after the last it is constant.
+        level = np.asarray(cube["white_level"], np.float64)
+        before, weight = between_stamps(np.asarray(cube["white_time"]).astype("datetime64[ns]"), time)
+        change = np.nanmedian(np.abs(level[before + 1] / level[before] - 1.0), axis=1)
+        unknown = np.full(time.shape, np.nan, np.float32)
+        flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
+        # the kernel divides pi by the light
+        series, neighbours = (
+            np.pi * level[:, :, None, None],
+            LineLight(before, before + 1, weight, unknown, unknown, flags),
+        )
     if neighbours is not None:
         line_flags |= neighbours.flags
     # scale by panels
@@ -306,8 +320,8 @@ def make_plan(
         if uncertain is not None:
             uncertain = {**uncertain, "panel_u": float(np.nanmax(panel_u))}
     # margin below the dark that noise explains, for good elements only
-    read_noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
-    margin = NOISE_MARGIN_SD * np.sqrt(read_noise**2 + QUANTISATION_VARIANCE_COUNT2)
+    read_noise = np.asarray(cube.get("read_noise", BANDS.default_read_noise_counts), np.float64)
+    margin = BANDS.noise_margin_sd * np.sqrt(read_noise**2 + QUANTISATION_VARIANCE_COUNT2)
     is_flaggable = good[:, None] & ~is_bad & is_from_counts
     terms = None
     if uncertain is not None:
@@ -331,9 +345,9 @@ def make_plan(
         smile=smile,
         saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
         noise_margin=np.ascontiguousarray(np.where(is_flaggable, margin, np.nan), np.float32),
-        max_negative_bands=int(NEGATIVE_BAND_SHARE * good.sum()),
+        max_negative_bands=int(BANDS.negative_band_share * good.sum()),
         line_flags=line_flags,
-        column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
+        column_flags=np.where(bad_share > BANDS.bad_band_share, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
         detector=_linearity(cube)
@@ -397,19 +411,6 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 def _highest_count(cube: Mapping[str, Any]) -> float:
     saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
     return float(saturation[np.isfinite(saturation)].max(initial=0.0)) or np.inf
-
-
-def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineLight]:
-    # Return the light on white references as a series of a `Plan`, and the whites around every line.
-    #
-    # Light is linear in time between two whites; before the first and after the last it is constant.
-    level = np.asarray(cube["white_level"], np.float64)
-    before, weight = between_stamps(np.asarray(cube["white_time"]).astype("datetime64[ns]"), time)
-    change = np.nanmedian(np.abs(level[before + 1] / level[before] - 1.0), axis=1)
-    unknown = np.full(time.shape, np.nan, np.float32)
-    flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
-    # the kernel divides pi by the light
-    return np.pi * level[:, :, None, None], LineLight(before, before + 1, weight, unknown, unknown, flags)
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:

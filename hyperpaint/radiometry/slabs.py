@@ -161,9 +161,11 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
             chunks = (tuple(map(len, views.values())), *((size,) for size in values.shape[1:]))
             return cube.copy(data=da.Array(views, name, chunks, meta=values[:0]))
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
-    if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
-        return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
-    return cube
+    return (
+        cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
+        if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:])
+        else cube
+    )
 
 
 NO_CUBE = np.empty((0, 0, 0), np.float32)

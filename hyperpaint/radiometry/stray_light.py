@@ -14,6 +14,7 @@ amplifier and converter, which process light and dark, are nonlinear, or the det
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,15 +27,17 @@ DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
 #: Variables by which the curves of elements differ from the table.
 OF_ELEMENTS = ("linearity_basis", "linearity_map")
-#: Number of terms of a polynomial in the kernel; longer polynomials become tables.
-MAX_KERNEL_TERMS = 4
-#: Nodes of a table: every eighth count of 16 bits, so that interpolation of a curve with 5 % at full scale is
-#: accurate to 1e-5 counts.
-TABLE_NODES = 8192
-#: Range of a table below 0, as a share of the highest count [1], which covers dark noise.
-BELOW_DARK_SHARE = 1.0 / 16.0
-#: End of the curve [count] if the calibration has no saturation count.
-DEFAULT_HIGHEST_COUNT = 65535.0
+CURVE = SimpleNamespace(
+    #: Number of terms of a polynomial in the kernel; longer polynomials become tables.
+    max_kernel_terms=4,
+    #: Nodes of a table: every eighth count of 16 bits, so that interpolation of a curve with 5 % at full
+    #: scale is accurate to 1e-5 counts.
+    table_nodes=8192,
+    #: Range of a table below 0, as a share of the highest count [1], which covers dark noise.
+    below_dark_share=1.0 / 16.0,
+    #: End of the curve [count] if the calibration has no saturation count.
+    default_highest_count=65535.0,
+)
 
 
 class Pedestal(NamedTuple):
@@ -169,12 +172,12 @@ class Linearity:
         # Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table.
         polynomial, table = np.empty(0, np.float32), np.empty((0, 0), np.float32)
         nodes, per_count = np.zeros(1), 1.0
-        if 0 < len(self.coefficients) <= MAX_KERNEL_TERMS:
-            polynomial = np.zeros(MAX_KERNEL_TERMS, np.float32)
+        if 0 < len(self.coefficients) <= CURVE.max_kernel_terms:
+            polynomial = np.zeros(CURVE.max_kernel_terms, np.float32)
             polynomial[: len(self.coefficients)] = self.coefficients
         elif self:
-            end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
-            nodes = np.linspace(-BELOW_DARK_SHARE * end, end, TABLE_NODES)
+            end = highest_count if np.isfinite(highest_count) else CURVE.default_highest_count
+            nodes = np.linspace(-CURVE.below_dark_share * end, end, CURVE.table_nodes)
             if self.measured is None:
                 table = np.asarray(self.correction(nodes), np.float32)[None]
             else:
@@ -207,7 +210,7 @@ class Linearity:
                     code="linearity-invalid",
                 )
                 return
-        end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
+        end = highest_count if np.isfinite(highest_count) else CURVE.default_highest_count
         counts = np.linspace(0.0, end, 1025)
         rows = self.correction(counts)[None] if self.measured is None else self.rows_at(counts)
         rise = np.diff(counts + rows[0])
@@ -273,20 +276,22 @@ STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
 ACROSS, FLAT = "stray_light_across", "flat_field"
 STRAY_LIGHT = (STRAY, STRAY_U, SHIFT_TIME, ACROSS, FLAT)
 STRAY_SOURCES = {STRAY, SHIFT_TIME, ACROSS}
-#: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
-MAX_ROW_SUM = 10.0
-#: Largest share of a frame's light that is smear [1]: bands times shift time over exposure.
-MAX_SMEAR_SHARE = 0.5
+MATRIX = SimpleNamespace(
+    #: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
+    max_row_sum=10.0,
+    #: Largest share of a frame's light that is smear [1]: bands times shift time over exposure.
+    max_smear_share=0.5,
+    #: Steps of the robust fit of levels: least absolute deviations, then least squares without outliers.
+    level_steps=12,
+    #: Largest row sum of absolute values of the truncated terms of D [1]. They alternate in sign, so that
+    #: smooth spectra lose a hundredth of that.
+    max_truncated=3e-4,
+    pad=4,
+)
 #: Largest factor between the response of an element and the trend of its band by which levels are fitted [1].
 MAX_LEVEL = 1.5
-#: Steps of the robust fit of levels: least absolute deviations, then least squares without outliers.
-_LEVEL_STEPS = 12
 #: Smallest and largest residual by which levels are weighted, in the logarithm and in standard deviations.
 _LEAST_RESIDUAL, _OUTLIER_SD = 1e-6, 5.0
-#: Largest row sum of absolute values of the truncated terms of D [1]. They alternate in sign, so that smooth
-#: spectra lose a hundredth of that.
-MAX_TRUNCATED = 3e-4
-_PAD = 4
 
 
 def inverse_of(matrix: Floats, name: str) -> Floats:
@@ -304,7 +309,7 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.inf)
     SchemaError.raise_if(
-        not np.abs(inverse).sum(axis=1).max() < MAX_ROW_SUM,
+        not np.abs(inverse).sum(axis=1).max() < MATRIX.max_row_sum,
         f"{name} cannot be inverted, since most light would be stray",
         expected="shares far below 1",
         code="stray-matrix-singular",
@@ -340,8 +345,8 @@ def check_stray_light(
     )
     shift = float(cube.get(SHIFT_TIME, 0.0))
     problems.add_if(
-        not 0.0 <= shift * bands <= MAX_SMEAR_SHARE * float(exposure.min()),
-        f"{SHIFT_TIME!r} is {shift:g} s: times {bands} bands over {MAX_SMEAR_SHARE:.0%} of the "
+        not 0.0 <= shift * bands <= MATRIX.max_smear_share * float(exposure.min()),
+        f"{SHIFT_TIME!r} is {shift:g} s: times {bands} bands over {MATRIX.max_smear_share:.0%} of the "
         f"exposure of {exposure.min():g} s",
         expected="the time of one band, some microseconds",
         code="smear-implausible",
@@ -393,12 +398,12 @@ def _levels(gain: Array) -> Floats:
     residual = values - _row_medians(values.T, is_finite.T).T
     is_fitted = is_finite & (np.abs(residual) <= np.log(MAX_LEVEL))
     weight = is_fitted.astype(np.float64)
-    for step in range(_LEVEL_STEPS):
+    for step in range(MATRIX.level_steps):
         normal = np.linalg.pinv((weight @ products).reshape(-1, 3, 3), 1e-10)
         parabola = normal @ ((weight * values) @ terms)[:, :, None]
         residual = values - parabola[:, :, 0] @ terms.T
         size = np.abs(residual)
-        if step < _LEVEL_STEPS - 2:
+        if step < MATRIX.level_steps - 2:
             weight = is_fitted / np.maximum(size, _LEAST_RESIDUAL)
         else:
             limit = _OUTLIER_SD * 1.4826 * _row_medians(size, is_finite) + _LEAST_RESIDUAL
@@ -426,10 +431,10 @@ def _terms(matrix: Any, name: str) -> StrayTerms:
     share = np.eye(len(matrix)) - inverse_of(np.asarray(matrix, np.float64), name)
     left, size, right = np.linalg.svd(share)
     residual = share.copy()
-    for term in range(0, len(size) // 2, _PAD):
-        if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
+    for term in range(0, len(size) // 2, MATRIX.pad):
+        if np.abs(residual).sum(axis=1).max() <= MATRIX.max_truncated:
             return StrayTerms(_padded(left[:, :term] * size[:term], 1), _padded(right[:term], 1))
-        next_terms = slice(term, term + _PAD)
+        next_terms = slice(term, term + MATRIX.pad)
         residual -= (left[:, next_terms] * size[next_terms]) @ right[next_terms]
     return StrayTerms(None, _padded(share, 1))
 
@@ -454,5 +459,5 @@ def described(cube: Mapping[Any, Any]) -> str | None:
 
 def _padded(values: Array, axis: int) -> Array:
     pad = [(0, 0)] * values.ndim
-    pad[axis] = (0, -values.shape[axis] % _PAD)
+    pad[axis] = (0, -values.shape[axis] % MATRIX.pad)
     return np.ascontiguousarray(np.pad(values, pad), np.float32)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
@@ -80,24 +81,26 @@ from .stray_light import (
 BLOCK_LINES = 8
 #: Maximum number of samples read from a flight; more do not improve the estimate.
 MAX_SAMPLES = 3_000_000
-#: Minimum signal in spreads of a dark count [1], at which the mean of a block is accurate to 3 %.
-MIN_SIGNAL_SD = 12.0
-#: Largest change of brightness by texture [1]; larger changes are edges or glint.
-MAX_TEXTURE = 0.15
-MIN_VARIANCES = 200
+TRANSFER = SimpleNamespace(
+    #: Minimum signal in spreads of a dark count [1], at which the mean of a block is accurate to 3 %.
+    min_signal_sd=12.0,
+    #: Largest change of brightness by texture [1]; larger changes are edges or glint.
+    max_texture=0.15,
+    min_variances=200,
+    #: Share of the variances that is used; the highest are left out [1].
+    used_share=0.999,
+    #: Largest excess variation of a block over noise [standard deviations].
+    max_block_sd=4.0,
+    #: Largest relative uncertainty of electrons per count [1].
+    max_relative_u=0.1,
+    #: Largest relative departure of variances from the straight line [1].
+    max_misfit=0.1,
+    #: Relative noise of a record above the rounding of float32 [1].
+    min_record_noise=1e-5,
+)
 _BINS = 24
 #: Groups of blocks of the jackknife.
 _JACKKNIFE_GROUPS = 16
-#: Share of the variances that is used; the highest are left out [1].
-USED_SHARE = 0.999
-#: Largest excess variation of a block over noise [standard deviations].
-MAX_BLOCK_SD = 4.0
-#: Largest relative uncertainty of electrons per count [1].
-MAX_RELATIVE_U = 0.1
-#: Largest relative departure of variances from the straight line [1].
-MAX_MISFIT = 0.1
-#: Relative noise of a record above the rounding of float32 [1].
-MIN_RECORD_NOISE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -178,7 +181,31 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     True
     """
     if "counts_variance" in dataset.variables:
-        points, floor, source = _sweep_points(dataset)
+        names = ["counts", "counts_variance", "dark_counts", "frame_count"]
+        names += ["saturation_count"] if "saturation_count" in dataset.variables else []
+        arrays = require(dataset, names, "photon transfer of a sweep", SWEEP_VARIABLES)
+        dims = (STEP, BAND, CROSS_TRACK)
+        counts = arrays["counts"].transpose(*dims)
+        signal = (counts - arrays["dark_counts"]).transpose(*dims).values.astype(np.float64)
+        variance = arrays["counts_variance"].transpose(*dims).values.astype(np.float64)
+        frames = arrays["frame_count"].values.astype(np.float64)
+        SchemaError.raise_if(
+            (frames < 2).any(),
+            f"'frame_count' is {frames.min():g}",
+            expected="2 or more frames, for a variance",
+            code="frames-too-few",
+        )
+        if "saturation_count" in arrays:
+            # clipping lowers the variance before the mean reaches saturation
+            margin = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
+            variance[counts.values + margin >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
+        bands = signal.shape[1]
+        freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
+        points = _VariancePoints(
+            _by_band(variance), _by_band(signal), np.ones((len(freedom), bands)), freedom
+        )
+        floor = QUANTISATION_VARIANCE_COUNT2
+        source = f"{len(signal)} steps of {frames.min():g} frames or more"
     else:
         dataset = rename_to_roles(dataset)
         points, floor, source = _line_points(dataset, repeated)
@@ -187,15 +214,15 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 
     is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
     SchemaError.raise_if(
-        is_valid.sum() < MIN_VARIANCES,
+        is_valid.sum() < TRANSFER.min_variances,
         f"noise cannot be estimated from {is_valid.sum()} variances",
-        expected=f"{MIN_VARIANCES} or more",
+        expected=f"{TRANSFER.min_variances} or more",
         code="noise-not-estimable",
     )
     slope, height = _first_guess(points, is_valid, np.broadcast_to(points.freedom, is_valid.shape))
-    edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
+    edge = chi2.ppf(TRANSFER.used_share, points.freedom) / points.freedom
     # mean of the values below the edge relative to the mean of all values
-    truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
+    truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / TRANSFER.used_share
     # neighbouring bands share two thirds of their contrast
     spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(is_valid.sum(axis=1), 1)))
     is_used = is_valid
@@ -205,9 +232,9 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        is_used = is_valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
+        is_used = is_valid & (block_ratio < 1.0 + TRANSFER.max_block_sd * spread)[:, None] & (ratio < edge)
         SchemaError.raise_if(
-            is_used.sum() < MIN_VARIANCES,
+            is_used.sum() < TRANSFER.min_variances,
             "noise cannot be estimated, since no block is homogeneous",
             mend="pass repeated frames, or a lab sweep",
             code="noise-not-estimable",
@@ -221,7 +248,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     low, high = np.percentile(points.by_signal[is_used] / points.by_floor[is_used], [1, 99])
     error = np.sqrt(covariance[0, 0])
     SchemaError.raise_if(
-        not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U),
+        not (slope > 0 and error / max(slope, 1e-300) < TRANSFER.max_relative_u),
         f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
         f"{slope:.3g} +- {error:.2g} counts of variance a count",
         mend="take a line with dark and bright surfaces, or repeated frames of several levels",
@@ -231,38 +258,13 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
         record = require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
         noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
-        if noise is not None and noise.max() > MIN_RECORD_NOISE:
+        if noise is not None and noise.max() > TRANSFER.min_record_noise:
             array = xr.DataArray(noise.astype(np.float32), dims=IRRADIANCE_WAVELENGTH)
             estimate["irradiance_u_random"] = label(array, "irradiance_u_random")
     return estimate
 
 
 # --- gathering variances
-
-
-def _sweep_points(dataset: xr.Dataset) -> tuple[_VariancePoints, float, str]:
-    names = ["counts", "counts_variance", "dark_counts", "frame_count"]
-    names += ["saturation_count"] if "saturation_count" in dataset.variables else []
-    arrays = require(dataset, names, "photon transfer of a sweep", SWEEP_VARIABLES)
-    dims = (STEP, BAND, CROSS_TRACK)
-    counts = arrays["counts"].transpose(*dims)
-    signal = (counts - arrays["dark_counts"]).transpose(*dims).values.astype(np.float64)
-    variance = arrays["counts_variance"].transpose(*dims).values.astype(np.float64)
-    frames = arrays["frame_count"].values.astype(np.float64)
-    if (frames < 2).any():
-        raise SchemaError(
-            f"'frame_count' is {frames.min():g}",
-            expected="2 or more frames, for a variance",
-            code="frames-too-few",
-        )
-    if "saturation_count" in arrays:
-        # clipping lowers the variance before the mean reaches saturation
-        margin = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
-        variance[counts.values + margin >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
-    bands = signal.shape[1]
-    freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
-    points = _VariancePoints(_by_band(variance), _by_band(signal), np.ones((len(freedom), bands)), freedom)
-    return points, QUANTISATION_VARIANCE_COUNT2, f"{len(signal)} steps of {frames.min():g} frames or more"
 
 
 def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, float, str]:
@@ -314,14 +316,16 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
             total = np.nansum(np.where(np.isfinite(mean)[:, None], block_cube, np.nan), axis=2)
-            is_even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
+            is_even = (
+                np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < TRANSFER.max_texture
+            )
         mean[~(is_even[:, None] & (mean > 0))] = np.nan
         # spread of a count in the darkest tenth of the samples [count]
         valid, dark_noise = np.isfinite(mean), 0.0
         if valid.any():
             is_darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
             dark_noise = float(np.sqrt(np.median(block_cube.var(axis=1, ddof=1)[is_darkest])))
-        mean[mean < MIN_SIGNAL_SD * dark_noise] = np.nan
+        mean[mean < TRANSFER.min_signal_sd * dark_noise] = np.nan
         # contrast of a band with its neighbours, relative to their signals
         relative = (block_cube - mean[:, None]) / mean[:, None]
         mean_inside = mean[:, 1:-1]
@@ -420,7 +424,7 @@ def _labelled(
     misfit = float(np.max(np.abs(variance / np.maximum(slope * signal + height, 1e-9) - 1.0)))
     misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
     warn_if(
-        misfit > MAX_MISFIT + 4.0 * misfit_sd,
+        misfit > TRANSFER.max_misfit + 4.0 * misfit_sd,
         f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
         "within blocks, or the light flickers; check 'transfer_variance'",
         "transfer-misfit",
@@ -1235,7 +1239,19 @@ class RegionSums:
         if line.dark_offset.any():
             shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
-            shared_errors["wavelength"] = _change_by_wavelength(line, level)
+            # Return the change of a mean by an error of the wavelength scale (band,).
+            assert line.light is not None
+            light = line.light.level
+            steps = band_steps(line.wavelength)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                radiance = level * light
+                rise = np.append(np.diff(radiance), np.nan) / light
+                fall = np.insert(np.diff(radiance), 0, np.nan) / light
+            to_above = np.where(np.isfinite(fall), steps[:, 0], steps[:, 1])
+            to_below = np.where(np.isfinite(rise), steps[:, 2], steps[:, 3])
+            shared_errors["wavelength"] = np.asarray(
+                (np.nan_to_num(rise) * to_above + np.nan_to_num(fall) * to_below) * line.wavelength_u
+            )
         if line.stray_light is not None:
             counts = np.divide(self._value_sums, per_count, out=np.zeros_like(per_count), where=per_count > 0)
             shared_errors["stray light"] = mean(per_count * (line.stray_light @ counts))
@@ -1251,30 +1267,14 @@ class RegionSums:
         sizes = {name: np.sqrt(np.diagonal(square)) for name, square in covariances.items()} | shared_errors
         names = tuple(name for name in FORMS if name in sizes)
         total = np.sum(list(covariances.values()), axis=0)
-        return MeanErrors(names, np.array([sizes[name] for name in names]), *_sd_and_correlation(total))
-
-
-def _sd_and_correlation(covariance: Floats) -> tuple[Floats, Array]:
-    # Return standard deviations (band,) and correlations (lag, band) up to the last significant lag.
-    sd = np.sqrt(np.diagonal(covariance))
-    bands = sd.size
-    lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for lag in range(len(lags)):
-            lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (sd[: bands - lag] * sd[lag:])
-    significant = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
-    return sd, lags[: significant.max(initial=0) + 1]
-
-
-def _change_by_wavelength(line: LineErrors, level: Floats) -> Floats:
-    # Return the change of a mean by an error of the wavelength scale (band,).
-    assert line.light is not None
-    light = line.light.level
-    steps = band_steps(line.wavelength)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        radiance = level * light
-        rise = np.append(np.diff(radiance), np.nan) / light
-        fall = np.insert(np.diff(radiance), 0, np.nan) / light
-    to_above = np.where(np.isfinite(fall), steps[:, 0], steps[:, 1])
-    to_below = np.where(np.isfinite(rise), steps[:, 2], steps[:, 3])
-    return np.asarray((np.nan_to_num(rise) * to_above + np.nan_to_num(fall) * to_below) * line.wavelength_u)
+        # Return standard deviations (band,) and correlations (lag, band) up to the last significant lag.
+        sd = np.sqrt(np.diagonal(total))
+        bands = sd.size
+        lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for lag in range(len(lags)):
+                lags[lag, : bands - lag] = np.diagonal(total, lag) / (sd[: bands - lag] * sd[lag:])
+        significant = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
+        return MeanErrors(
+            names, np.array([sizes[name] for name in names]), *(sd, lags[: significant.max(initial=0) + 1])
+        )
