@@ -6,6 +6,7 @@ paint more certain. A change with the angle shows flakes, and a stray value show
 """
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
@@ -15,9 +16,7 @@ from hyperpaint.base import (
     BAND,
     LIBRARY_VARIABLES,
     SIGNATURE,
-    Bools,
     Floats,
-    Ints,
     Problems,
     SchemaError,
     is_number,
@@ -25,20 +24,22 @@ from hyperpaint.base import (
     takes_quantities,
 )
 
-#: Length of a degree of latitude [m].
-DEGREE_M = 111_195.0
+VIEWS = SimpleNamespace(
+    #: Length of a degree of latitude [m].
+    degree_m=111_195.0,
+    #: Smallest range of angles, seen in several views, that decides on a finish [degree].
+    min_range_deg=8.0,
+    #: Relative uncertainty of the level of a view where its region states none [1].
+    unstated_u=0.05,
+)
 #: Relative change of level per degree of aspecular angle: at least that of flakes, and at most that of solid
 #: paint [degree-1]. Flop indices of 5 to 17 change by 1.3 to 3.5 % a degree between 15 and 110 degrees, and
 #: solid paint by none; the mirrored sky leaves 0.3 %.
 FLAKE_CHANGE, SOLID_CHANGE = 0.003, 0.006
 #: Cause in ``level_terms`` that all views of a car share: it cancels in their differences.
 SHARED_CAUSE = "an unknown lean"
-#: Smallest range of angles, seen in several views, that decides on a finish [degree].
-MIN_RANGE_DEG = 8.0
 #: Largest spectral angle of a view to the median of the views of its car [degree].
 MAX_ANGLE_DEG = 3.0
-#: Relative uncertainty of the level of a view where its region states none [1].
-UNSTATED_U = 0.05
 
 
 @takes_quantities(distance="m")
@@ -119,7 +120,7 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
     level = np.where(values, spectra, 0.0).sum(axis=1) / np.where(
         values.any(axis=1), values.sum(axis=1), np.nan
     )
-    u = _column(library, "level_uncertainty", UNSTATED_U)
+    u = _column(library, "level_uncertainty", VIEWS.unstated_u)
     difference_u = u.copy()
     for number, text in enumerate(
         library["level_terms"].values if "level_terms" in library.variables else ()
@@ -127,7 +128,16 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
         parts = json.loads(text or "{}").items()
         remaining = [part for cause, part in parts if not cause.startswith(SHARED_CAUSE)]
         difference_u[number] = np.hypot.reduce(remaining) if remaining else u[number]
-    car = cars_at(_column(library, "latitude"), _column(library, "longitude"), distance)
+    latitude = _column(library, "latitude")
+    longitude = _column(library, "longitude")
+    # number of the car (signature,) whose views all lie within a distance [m] of one another; a signature
+    # without a place is a car by itself
+    placed = np.isfinite(latitude + longitude)
+    car = np.arange(latitude.size) + latitude.size
+    if placed.sum() > 1:
+        scale = np.cos(np.radians(latitude[placed].mean()))
+        metres = VIEWS.degree_m * np.stack([latitude[placed], longitude[placed] * scale], axis=1)
+        car[placed] = fcluster(linkage(metres, "complete"), distance, "distance")
     finish = (
         library["finish"].values.astype(object)
         if "finish" in library.variables
@@ -139,12 +149,26 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
     for number in np.unique(car):
         (views,) = np.nonzero(car == number)
         measured = views[np.isfinite(level[views])]
-        stray[measured] = _is_stray(spectra[measured])
+        # views whose spectra (view, band) have another shape than the median; two views cannot decide
+        if measured.size > 2:
+            used = np.isfinite(spectra[measured]).all(axis=0)
+            shapes = spectra[measured][:, used]
+            shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
+            median = np.median(shapes, axis=0)
+            is_stray = shapes @ median / np.linalg.norm(median) < np.cos(np.radians(MAX_ANGLE_DEG))
+            stray[measured] = is_stray & (2 * is_stray.sum() < measured.size)
         kept = measured[~stray[measured]] if measured.size else views
         placed = kept[np.isfinite(angle[kept] + level[kept])]
-        if placed.size and np.ptp(angle[placed]) >= MIN_RANGE_DEG:
+        if placed.size and np.ptp(angle[placed]) >= VIEWS.min_range_deg:
             logs = np.log(np.maximum(level[placed], 1e-6))
-            slope, slope_u = _slope(angle[placed], logs, difference_u[placed])
+            # weighted straight line; scatter beyond the uncertainty widens that of its slope
+            weight = difference_u[placed] ** -2.0
+            centre = angle[placed] - np.average(angle[placed], weights=weight)
+            spread = float((weight * centre**2).sum())
+            slope = float((weight * centre * logs).sum()) / spread
+            residual = logs - np.average(logs, weights=weight) - slope * centre
+            excess = float((weight * residual**2).sum()) / max(placed.size - 2, 1)
+            slope_u = float(np.sqrt(max(1.0, excess) / spread))
             change[views], change_u[views] = slope, slope_u
             if slope + 2.0 * slope_u < -FLAKE_CHANGE:
                 finish[views] = "metallic"
@@ -174,39 +198,3 @@ def _column(library: xr.Dataset, name: str, default: float = np.nan) -> Floats:
     if name in library.variables:
         values = library[name].values.astype(np.float64)
     return np.where(np.isfinite(values), values, default)
-
-
-def cars_at(latitude: Floats, longitude: Floats, distance: float) -> Ints:
-    # Return the number of the car (signature,) whose views all lie within a distance [m] of one another.
-    #
-    # Takes ``latitude``, ``longitude`` (signature,) [degree]; a signature without a place is a car by itself.
-    placed = np.isfinite(latitude + longitude)
-    number = np.arange(latitude.size) + latitude.size
-    if placed.sum() > 1:
-        scale = np.cos(np.radians(latitude[placed].mean()))
-        metres = DEGREE_M * np.stack([latitude[placed], longitude[placed] * scale], axis=1)
-        number[placed] = fcluster(linkage(metres, "complete"), distance, "distance")
-    return number
-
-
-def _is_stray(spectra: Floats) -> Bools:
-    # Views (view,) whose spectra (view, band) have another shape than the median; two views cannot decide
-    if len(spectra) < 3:
-        return np.zeros(len(spectra), bool)
-    used = np.isfinite(spectra).all(axis=0)
-    shapes = spectra[:, used] / np.linalg.norm(spectra[:, used], axis=1, keepdims=True)
-    median = np.median(shapes, axis=0)
-    cosine = shapes @ median / np.linalg.norm(median)
-    stray = cosine < np.cos(np.radians(MAX_ANGLE_DEG))
-    return stray if 2 * stray.sum() < len(stray) else np.zeros_like(stray)
-
-
-def _slope(angle: Floats, logs: Floats, u: Floats) -> tuple[float, float]:
-    # Slope of a weighted straight line and its standard uncertainty; scatter beyond `u` widens it
-    weight = u**-2.0
-    centre = angle - np.average(angle, weights=weight)
-    spread = float((weight * centre**2).sum())
-    slope = float((weight * centre * logs).sum()) / spread
-    residual = logs - np.average(logs, weights=weight) - slope * centre
-    excess = float((weight * residual**2).sum()) / max(angle.size - 2, 1)
-    return slope, float(np.sqrt(max(1.0, excess) / spread))

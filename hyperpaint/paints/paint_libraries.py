@@ -193,7 +193,17 @@ def search_library(
     order = np.arange(is_match.size)
     coordinates: dict[str, Any] = {}
     if colour is not None:
-        difference = _colour_differences(library, colour)
+        # CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour
+        wavelength = np.asarray(library["wavelength"].values, np.float64)
+        colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
+        SchemaError.raise_if(
+            len(colours) and not np.isfinite(colours).any(),
+            "no paint of the library has a colour",
+            expected="at least 3 good bands between 380 and 780 nm",
+            code="visible-bands-missing",
+        )
+        difference = ciede2000(lab_of(colours), lab_of(parse_colour(colour)))
+        difference = np.where(np.isfinite(difference), difference, np.inf)
         is_match &= difference <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
         order = np.argsort(difference, kind="stable")
         attrs = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
@@ -253,21 +263,6 @@ def _spellings(text: str) -> tuple[str, str]:
 
 
 # --- colours -----------------------------------------------------------------------------------------------
-
-
-def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
-    # CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour
-    query = lab_of(parse_colour(colour))
-    wavelength = np.asarray(library["wavelength"].values, np.float64)
-    colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
-    SchemaError.raise_if(
-        len(colours) and not np.isfinite(colours).any(),
-        "no paint of the library has a colour",
-        expected="at least 3 good bands between 380 and 780 nm",
-        code="visible-bands-missing",
-    )
-    difference = ciede2000(lab_of(colours), query)
-    return np.where(np.isfinite(difference), difference, np.inf)
 
 
 # --- spectra -----------------------------------------------------------------------------------------------

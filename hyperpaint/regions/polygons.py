@@ -29,6 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -64,23 +65,24 @@ MAX_FILE_BYTES = 16 * 2**20
 
 MAX_REGIONS = 10_000
 
-#: Maximum numbers of JSON lists and objects, and of commas; they bound the memory of the parsed document.
-MAX_CONTAINERS = 500_000
-MAX_SEPARATORS = 1_500_000
-MAX_LISTED_FEATURES = 20
+LIMITS = SimpleNamespace(
+    #: Maximum numbers of JSON lists and objects, and of commas; they bound the memory of the parsed document.
+    max_containers=500_000,
+    max_separators=1_500_000,
+    max_listed_features=20,
+    #: Maximum number of corners of a ring.
+    max_vertices=10_000,
+    #: Largest absolute coordinate; no pixel and no place on a map has a larger one.
+    max_coordinate=1e9,
+    max_name_chars=200,
+    max_drawn_regions=60,
+    max_listed_regions=10,
+)
 
 #: Coordinate systems of regions: column and line of the cube, or map coordinates on the ground.
 COORDINATES = ("sensor", "map")
 
-#: Maximum number of corners of a ring.
-MAX_VERTICES = 10_000
 
-#: Largest absolute coordinate; no pixel and no place on a map has a larger one.
-MAX_COORDINATE = 1e9
-
-MAX_NAME_CHARS = 200
-MAX_DRAWN_REGIONS = 60
-MAX_LISTED_REGIONS = 10
 _COLOUR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -129,10 +131,10 @@ class Region:
                 problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
             elif not value and label == "name":
                 problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
-            elif len(value) > MAX_NAME_CHARS:
+            elif len(value) > LIMITS.max_name_chars:
                 problems.add(
                     f"{subject} has {len(value)} characters",
-                    expected=f"at most {MAX_NAME_CHARS}",
+                    expected=f"at most {LIMITS.max_name_chars}",
                     code="name-too-long",
                 )
             elif not value.isprintable() or value.strip() != value:
@@ -238,9 +240,9 @@ class Regions(Sequence[Region]):
 
     def __repr__(self) -> str:
         system = self.crs or self.coordinates
-        lines = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
-        if len(self) > MAX_LISTED_REGIONS:
-            lines.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
+        lines = [f"  {region!r}" for region in self.regions[: LIMITS.max_listed_regions]]
+        if len(self) > LIMITS.max_listed_regions:
+            lines.append(f"  ... and {len(self) - LIMITS.max_listed_regions} more")
         return "\n".join([f"<Regions: {len(self)} ({str(system)[:40]})>", *lines])
 
     def __len__(self) -> int:
@@ -281,8 +283,12 @@ class Regions(Sequence[Region]):
     def _repr_html_(self) -> str:
         """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
         system = self.crs or self.coordinates
-        limit_note = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
-        outlines = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
+        limit_note = (
+            f", of which {LIMITS.max_drawn_regions} are shown" if len(self) > LIMITS.max_drawn_regions else ""
+        )
+        outlines = "".join(
+            _drawn(region, self.coordinates) for region in self.regions[: LIMITS.max_drawn_regions]
+        )
         title = f"{len(self)} regions ({system}){limit_note}"
         return (
             f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
@@ -337,15 +343,15 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
         corners = corners[:-1]
     problems.add_if(
-        not 3 <= len(corners) <= MAX_VERTICES,
+        not 3 <= len(corners) <= LIMITS.max_vertices,
         f"the {ring_name} has {len(corners)} corners",
-        expected=f"3 to {MAX_VERTICES}",
+        expected=f"3 to {LIMITS.max_vertices}",
         code="corner-count",
     )
     problems.add_if(
-        not (np.abs(corners) <= MAX_COORDINATE).all(),
+        not (np.abs(corners) <= LIMITS.max_coordinate).all(),
         f"the {ring_name} has missing or too large coordinates",
-        expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
+        expected=f"numbers from {-LIMITS.max_coordinate:g} to {LIMITS.max_coordinate:g}",
         code="corner-wrong",
     )
     corners = corners + 0.0  # no negative zero
@@ -423,7 +429,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
         return _collection(features_of(file, MAX_REGIONS), str(file))
     raw = read_limited(file, MAX_FILE_BYTES, "GeoJSON")
     FormatError.raise_if(
-        raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS,
+        raw.count(b"[") + raw.count(b"{") > LIMITS.max_containers or raw.count(b",") > LIMITS.max_separators,
         f"{file}: more values than {MAX_REGIONS} regions have",
         expected="GeoJSON of regions",
         code="file-too-large",
@@ -601,11 +607,11 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
             regions.append(_region(feature))
         except PaintError as error:
             invalid_features += 1
-            if invalid_features <= MAX_LISTED_FEATURES:
+            if invalid_features <= LIMITS.max_listed_features:
                 problems.add_error(f"feature {number}", error)
     problems.add_if(
-        invalid_features > MAX_LISTED_FEATURES,
-        f"{invalid_features - MAX_LISTED_FEATURES} more features are invalid",
+        invalid_features > LIMITS.max_listed_features,
+        f"{invalid_features - LIMITS.max_listed_features} more features are invalid",
         code="features-invalid",
     )
     problems.raise_if_any()
@@ -620,8 +626,12 @@ _NAMES = ("name", "label", "paint", "signature", "title")
 
 
 def _region(feature: Any) -> Region:
-    if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
-        raise SchemaError(type(feature).__name__, expected="a Feature", code="type-wrong")
+    SchemaError.raise_if(
+        not isinstance(feature, Mapping) or feature.get("type") != "Feature",
+        type(feature).__name__,
+        expected="a Feature",
+        code="type-wrong",
+    )
     properties = feature.get("properties")
     properties = dict(properties) if isinstance(properties, Mapping) else {}
     # the name, else the first label of another program that has a value
@@ -782,11 +792,13 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
-#: Maximum mean number of edges whose y range contains the y of a pixel: few for an outline, thousands for a
-#: zigzag.
-MAX_EDGES_PER_PIXEL = 100
-#: Number of comparisons of an edge with a point below which no polygon is refused.
-FREE_COMPARISONS = 10_000_000
+_EDGES = SimpleNamespace(
+    #: Maximum mean number of edges whose y range contains the y of a pixel: few for an outline, thousands for
+    #: a zigzag.
+    max_edges_per_pixel=100,
+    #: Number of comparisons of an edge with a point below which no polygon is refused.
+    free_comparisons=10_000_000,
+)
 
 RegionsT = TypeVar("RegionsT", bound=Regions)
 #: Positions along and across the track, line by line.
@@ -975,14 +987,14 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
     is_placed = any(_has_pair(renamed, pair) for pair in _GROUND)
     if regions.coordinates != "map" or is_placed or not set(POSE) <= set(renamed.variables):
         return line
-    if not isinstance(renamed.attrs.get("ground"), int | float):
-        raise SchemaError(
-            "the flight line has no height of the ground to locate regions in map coordinates",
-            mend="pass the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
-            "ground [m] of the line",
-            option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
-            code="ground-height-missing",
-        )
+    SchemaError.raise_if(
+        not isinstance(renamed.attrs.get("ground"), int | float),
+        "the flight line has no height of the ground to locate regions in map coordinates",
+        mend="pass the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
+        "ground [m] of the line",
+        option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
+        code="ground-height-missing",
+    )
     return locate(renamed)
 
 
@@ -1182,10 +1194,10 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     rings = [polygon, *holes]
     runs = [_runs(ring, near_y) for ring in rings]
     comparisons = sum(int((last - first).clip(0).sum()) for first, last in runs)
-    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * near.size:
+    if comparisons > _EDGES.free_comparisons + _EDGES.max_edges_per_pixel * near.size:
         raise SchemaError(
             f"on average {comparisons / near.size:.0f} edges lie beside each of {near.size} pixels",
-            expected=f"at most {MAX_EDGES_PER_PIXEL}",
+            expected=f"at most {_EDGES.max_edges_per_pixel}",
             mend="split the polygon, or give it fewer corners",
             code="polygon-too-complex",
         )

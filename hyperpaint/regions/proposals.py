@@ -1703,9 +1703,11 @@ class Car(NamedTuple):
         # Certainty of the roof, `_CERTAIN` at most, and the size.
         if self.footprint is None or isinstance(self.roof, NoRoof):
             return int(self.footprint is not None) + int(self.is_car), self.size
-        if not self.footprint.is_one_car:
-            return 3, self.size
-        return _CERTAIN - int(not (self.roof.complete or self.roof.sided)), self.size
+        return (
+            (3, self.size)
+            if not self.footprint.is_one_car
+            else (_CERTAIN - int(not (self.roof.complete or self.roof.sided)), self.size)
+        )
 
     def unless_larger(self, max_size: float) -> Car:
         # Return the car, without a roof where it has more pixels than cars have.

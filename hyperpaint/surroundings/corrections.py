@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -67,8 +68,21 @@ SUN_FROM = ("time", "latitude", "longitude")
 #: Distributions of sky radiance: clear (`hyperpaint.light.clear_sky`), uniform, and CIE's overcast sky.
 SKIES = ("clear", "uniform", "overcast")
 
-#: Zenith radiance of a CIE overcast sky over the radiance of a uniform sky with the same irradiance [1].
-OVERCAST_ZENITH = 9.0 / 7.0
+SKY = SimpleNamespace(
+    #: Zenith radiance of a CIE overcast sky over the radiance of a uniform sky with the same irradiance [1].
+    overcast_zenith=9.0 / 7.0,
+    #: Maximum difference between ``sun_zenith`` and the angle from the clock; beyond, the split is computed
+    #: again [degree].
+    max_clock_deg=2.0,
+    #: Standard uncertainty of the radiance of a sky in one direction, relative: polarisation changes it by 3
+    #: to 6 % in the blue, the phase function of aerosol as much; and of a measured split's, taken for uniform
+    #: [1].
+    sky_u=(0.06, 0.4),
+    #: Angle from the zenith of an unknown view: half of the half field of view of a usual camera [degree].
+    unknown_view_deg=10.0,
+    #: Minimum share of the lines for a state that `LightSplit.states` lists [1].
+    min_state_share=0.1,
+)
 
 #: Maximum zenith angle of the sun in sky functions; a lower sun is set to this angle [degree].
 MAX_SUN_ZENITH_DEG = 89.0
@@ -87,9 +101,6 @@ CONTRADICTION = (
     "diffuse= where the split was measured; until then the split is uncertain"
 )
 
-#: Maximum difference between ``sun_zenith`` and the angle from the clock; beyond, the split is computed again
-#: [degree].
-MAX_CLOCK_DEG = 2.0
 
 #: Value of ``LightSplit.sky`` where the record determines the sky.
 RECORDED = "as recorded"
@@ -105,15 +116,6 @@ SKY_AEROSOLS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.4])
 #: Directions at which clear skies are computed, from the zenith and in azimuth from the sun [degree].
 SKY_ZENITH_DEG, SKY_AZIMUTH_DEG = np.arange(0.0, 88.0, 3.0), np.arange(0.0, 181.0, 10.0)
 
-#: Standard uncertainty of the radiance of a sky in one direction, relative: polarisation changes it by 3 to
-#: 6 % in the blue, the phase function of aerosol as much; and of a measured split's, taken for uniform [1].
-SKY_U = (0.06, 0.4)
-
-#: Angle from the zenith of an unknown view: half of the half field of view of a usual camera [degree].
-UNKNOWN_VIEW_DEG = 10.0
-
-#: Minimum share of the lines for a state that `LightSplit.states` lists [1].
-MIN_STATE_SHARE = 0.1
 
 #: Standard uncertainty of a modelled clear sky's diffuse fraction f, relative to f (1 - f): it covers aerosol
 #: optical depths of 0.05 to 0.25 [1].
@@ -146,7 +148,7 @@ class LightSplit:
         fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, self.state)
         warn_of_contradiction(state, self.zenith)
         numbers, counts = np.unique(state, return_counts=True)
-        frequent = numbers[(counts > MIN_STATE_SHARE * counts.sum()) & (numbers != UNKNOWN_STATE)]
+        frequent = numbers[(counts > SKY.min_state_share * counts.sum()) & (numbers != UNKNOWN_STATE)]
         # errors of the sky are common to all lines: their variance does not fall with the number of lines
         mean_u = np.sqrt((u**2).mean(line_dims) + fraction.var(line_dims))
         mean = fraction.mean(line_dims)
@@ -284,7 +286,7 @@ def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None
     if (
         sun_zenith is not None
         and set(SUN_FROM) <= set(line.variables)
-        and abs(sun_zenith_of(line, None) - sun_zenith) > MAX_CLOCK_DEG
+        and abs(sun_zenith_of(line, None) - sun_zenith) > SKY.max_clock_deg
         and (recomputed := split_of_lines(line, sun_zenith=float(sun_zenith))) is not None
     ):
         return recomputed
@@ -340,7 +342,7 @@ def _sun_azimuth_of(line: xr.Dataset, sun_zenith: float | None) -> float | None:
     if not set(SUN_FROM) <= set(line.variables):
         return None
     zenith, azimuth = solar_position(*(line[name].values for name in SUN_FROM))
-    is_contradicted = sun_zenith is not None and abs(np.nanmean(zenith) - sun_zenith) > MAX_CLOCK_DEG
+    is_contradicted = sun_zenith is not None and abs(np.nanmean(zenith) - sun_zenith) > SKY.max_clock_deg
     return None if is_contradicted else _mean_angle(azimuth)
 
 
@@ -361,9 +363,11 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
 def _mean_angle(degrees: Any) -> float | None:
     # Mean direction [degree]; None without finite values
     angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
-    if not angles.size:
-        return None
-    return float(np.degrees(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())))
+    return (
+        None
+        if not angles.size
+        else float(np.degrees(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())))
+    )
 
 
 def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
@@ -716,7 +720,7 @@ def relative_sky(split: LightSplit, zenith: Any = 0.0, from_sun: Any = 0.0) -> A
         code="sun-unknown",
     )
     cosine = np.cos(np.radians(zenith))
-    overcast = OVERCAST_ZENITH * (1.0 + 2.0 * cosine) / 3.0
+    overcast = SKY.overcast_zenith * (1.0 + 2.0 * cosine) / 3.0
     if split.sky in ("uniform", "overcast"):
         return overcast if split.sky == "overcast" else 1.0 + 0.0 * cosine
     # weights of skies with the aerosols of the nodes
@@ -809,7 +813,9 @@ def mirrored_sky(
     # mirrored direction, and by how much it may be turned
     turn, zenith = 2.0 * lean_u, view_zenith if np.isfinite(view_zenith) else 0.0
     if not np.isfinite(view_zenith + relative_azimuth):
-        turn = float(np.hypot(turn, zenith / np.sqrt(2.0) if np.isfinite(view_zenith) else UNKNOWN_VIEW_DEG))
+        turn = float(
+            np.hypot(turn, zenith / np.sqrt(2.0) if np.isfinite(view_zenith) else SKY.unknown_view_deg)
+        )
     is_known = np.isfinite(view_zenith + relative_azimuth) and zenith > 0.0
     theta, phi, angle = np.radians(
         [zenith if is_known else 0.0, 180.0 - relative_azimuth if is_known else 0.0, turn]
@@ -841,7 +847,7 @@ def mirrored_sky(
     )
     pairs = zip(differences[::2], differences[1::2], strict=True)
     cloud_part = values.isel(change=3, turn=0) - value
-    known_u = (4.0 * index_u / (COAT_INDEX**2 - 1.0)) ** 2 + SKY_U[split.sky == "uniform"] ** 2
+    known_u = (4.0 * index_u / (COAT_INDEX**2 - 1.0)) ** 2 + SKY.sky_u[split.sky == "uniform"] ** 2
     variance = known_u * value**2 + cloud_part**2 + sum((0.5 * (more - less)) ** 2 for more, less in pairs)
     return value, variance**0.5
 

@@ -366,7 +366,19 @@ def _match_glint(
     )
     # no glint where the darker segment could be the brighter one in shadow
     segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
-    fits = ~_could_be_shade(spectrum, body_near, segment, light)
+    # whether the body nearby may be the surface of the segment in shadow (pair,)
+    as_shade, shade_misfit, _ = unmix_spectra(
+        spectrum[body_near], segment, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
+    )
+    direct, sky, level = as_shade[:, 0], as_shade[:, 1], spectrum.mean(axis=1)
+    # objects that hide the sky send light instead, at most as much as a bright wall in the sun
+    fits = ~(
+        (sky > GLINT.min_shade_sky)
+        & (sky < GLINT.max_shade_sky)
+        & (shade_misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
+        & (level[body_near] < GLINT.max_shade_brightness * level[segment])
+        & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
+    )
     segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
     # no glint where a lean towards the sun explains the brightness
     tilt, tilt_misfit, _ = unmix_spectra(
@@ -386,22 +398,6 @@ def _match_glint(
             body[body == segment] = body[parent]
             any_assigned = True
     return any_assigned
-
-
-def _could_be_shade(spectrum: Floats, dark: Ints, bright: Ints, light: Light) -> Bools:
-    # Whether the segment `dark` may be the surface of the segment `bright` in shadow (pair,)
-    amount, misfit, _ = unmix_spectra(
-        spectrum[dark], bright, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
-    )
-    direct, sky, level = amount[:, 0], amount[:, 1], spectrum.mean(axis=1)
-    # objects that hide the sky send light instead, at most as much as a bright wall in the sun
-    return np.asarray(
-        (sky > GLINT.min_shade_sky)
-        & (sky < GLINT.max_shade_sky)
-        & (misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
-        & (level[dark] < GLINT.max_shade_brightness * level[bright])
-        & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
-    )
 
 
 #: Number of pairs solved together, to limit memory.

@@ -47,7 +47,7 @@ from hyperpaint.kernels.unmixing import PARTS, average_bands, unmix_lines
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
-from .corrections import LightSplit, shadow_side_of, split_of
+from .corrections import shadow_side_of, split_of
 from .detection_rules import BODIES, DARK_COATS, FLAGS, GLINT, LOBES, MIRROR, SHADOWS, SURVEY, VEGETATION
 from .model import CELL, LIT, SHADED, SceneModel, nearest_at
 from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
@@ -207,7 +207,24 @@ def match_shade(
     best = np.asarray((mixtures.misfit < max_misfit) & ~ground[mixtures.segment])
     _assign(mixtures, on_ground & best & ((touches & fits) | beside), state, body)
     # step 3: sides turned away from the sun, and segments that touch shadows
-    _assign(mixtures, _are_turned_away(mixtures, length, away, scene) & ~on_ground, state, body)
+    # candidates that are the side of a bright object that faces away from the sun; its lit side adjoins
+    # on the sunward side
+    level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
+    _assign(
+        mixtures,
+        (mixtures.misfit < SHADOWS.max_spectral_misfit)
+        & (mixtures.direct < SHADOWS.max_turned_direct)
+        & (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct)
+        & (level < SHADOWS.max_lit_level)
+        & (mixtures.sent < SHADOWS.max_sent * (1.0 - mixtures.sky))
+        & (mixtures.sky * level > DARK_COATS.max_mirrored)
+        & (length >= SHADOWS.min_contact_sides)
+        & (length > SHADOWS.sure_border * scene.border[mixtures.segment])
+        & (away < -SHADOWS.sideways * length)
+        & ~on_ground,
+        state,
+        body,
+    )
     _extend(mixtures, ground, best, length, away, scene, state, body)
     # step 4: by spectrum alone
     _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
@@ -281,23 +298,6 @@ def _are_clear(mixtures: Mixtures, max_sent: float = SHADOWS.max_sent) -> Bools:
         (mixtures.direct < SHADOWS.clear_direct[0] + SHADOWS.clear_direct[1] * hidden)
         & (mixtures.sent < max_sent * (1.0 - mixtures.sky))
         & (mixtures.misfit < SHADOWS.max_clear_misfit)
-    )
-
-
-def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Scene) -> Bools:
-    # Whether candidates are the side of a bright object that faces away from the sun; its lit side adjoins
-    # on the sunward side
-    level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
-    return np.asarray(
-        (mixtures.misfit < SHADOWS.max_spectral_misfit)
-        & (mixtures.direct < SHADOWS.max_turned_direct)
-        & (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct)
-        & (level < SHADOWS.max_lit_level)
-        & (mixtures.sent < SHADOWS.max_sent * (1.0 - mixtures.sky))
-        & (mixtures.sky * level > DARK_COATS.max_mirrored)
-        & (length >= SHADOWS.min_contact_sides)
-        & (length > SHADOWS.sure_border * scene.border[mixtures.segment])
-        & (away < -SHADOWS.sideways * length)
     )
 
 
@@ -640,7 +640,17 @@ def clean_references(
             if darkest.mean() > BODIES.bright and median_ratio > BODIES.min_mostly_glint:
                 tilt[segment] = BODIES.glint_tilt
             continue
-        added, direct = _added_light(values, segment, finite_spectrum, light, neighbours(indices))
+        # Light added to pixels by glint and neighbours, up to a constant, and their direct light. Unmixing
+        # returns no negative amounts: a constant amount of glint and neighbour light is added to all pixels,
+        # so that deviations below the mean show, too.
+        near = neighbours(indices)
+        neighbour_spectra = np.where(near[:, :1] >= 0, finite_spectrum[near[:, 0]], 0.0)
+        lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
+        amount, _, added_by_neighbours = unmix_spectra(
+            lifted, np.full(len(values), segment), finite_spectrum, light, 0.01, _AS_PIXEL, near
+        )
+        glint = amount[:, 2] + amount[:, 4] + added_by_neighbours.sum(axis=1)
+        added, direct = glint - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
         low, median = np.quantile(added, [0.1, 0.5])
         if median - low > BODIES.min_difference:
             low, high = np.quantile(added, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)
@@ -683,22 +693,6 @@ def _darkest(values: Floats, light: Light, min_glint_ratio: float) -> Floats | N
     spectra = np.stack([darkest, np.median(values, axis=0)], axis=1)
     (_, (darkest_sky, median_sky)), *_ = np.linalg.lstsq(split, spectra, rcond=None)
     return np.asarray(darkest) if darkest_sky > BODIES.min_sky * median_sky else None
-
-
-def _added_light(
-    values: Floats, segment: int, finite_spectrum: Floats, light: Light, neighbours: npt.NDArray[np.int32]
-) -> tuple[Floats, Floats]:
-    # Light added to pixels by glint and neighbours, up to a constant, and their direct light.
-    # Unmixing returns no negative amounts: a constant amount of glint and neighbour light is added to all
-    # pixels, so that deviations below the mean show, too.
-    nearest = neighbours[:, 0]
-    neighbour_spectra = np.where(nearest[:, None] >= 0, finite_spectrum[nearest], 0.0)
-    lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
-    amount, _, added = unmix_spectra(
-        lifted, np.full(len(values), segment), finite_spectrum, light, 0.01, _AS_PIXEL, neighbours
-    )
-    glint = amount[:, 2] + amount[:, 4] + added.sum(axis=1)
-    return glint - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
@@ -1017,6 +1011,14 @@ def survey(
     trim_memory()
     shade_distance = _shade_distance(channels, segments.number, matches, ground, reference, light)
     trim_memory()
+    sun = f"sun at {line_split.zenith:.1f} degrees from the zenith"
+    if line_split.source == "measured":
+        source_text = "a measured spectrum"
+    elif line_split.states:
+        source_text = f"the lines' own record, sky {', '.join(line_split.states)}, {sun}"
+    else:
+        texts = {"pvlib": f"SPECTRL2 of pvlib, {sun}", "shadow": "cast shadow in the image"}
+        source_text = texts.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {sun}")
     return SceneModel(
         wavelength=wavelength,
         channel=channel,
@@ -1040,7 +1042,7 @@ def survey(
         spectrum=spectrum,
         reference=reference,
         attrs={
-            "diffuse_fraction_from": _source_text(diffuse, line_split),
+            "diffuse_fraction_from": source_text,
             "diffuse_fraction_u": split_u.tolist(),
             "sky_states": " ".join(line_split.states),
             "reach": reach,
@@ -1128,18 +1130,6 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
         )
     problems.raise_if_any()
     return good
-
-
-def _source_text(diffuse: Any, split: LightSplit) -> str:
-    sun = f"sun at {split.zenith:.1f} degrees from the zenith"
-    if split.source == "measured":
-        return "a measured spectrum"
-    if split.states:
-        return f"the lines' own record, sky {', '.join(split.states)}, {sun}"
-    return {
-        "pvlib": f"SPECTRL2 of pvlib, {sun}",
-        "shadow": "cast shadow in the image",
-    }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {sun}")
 
 
 #: Layers from which bits are set, and layers that explain them.

@@ -148,18 +148,18 @@ def without_coat(
 # A metallic paint has no single reflectance: flakes lie nearly level, and reflect most around the direction
 # in which the body part mirrors the sun. Its signature holds for this angle only.
 
-#: Share of a body part's pixels that forms its bright end, and share that forms its dark end [1].
-FLOP_SHARE = 0.2
+FLAKES = SimpleNamespace(
+    #: Share of a body part's pixels that forms its bright end, and share that forms its dark end [1].
+    flop_share=0.2,
+    #: Minimum number of pixels for a flop.
+    min_flop_members=20,
+    #: Minimum share of a body part's pixels with a value in a band, for this band to be used [1].
+    min_band_share=0.9,
+    #: Maximum relative difference from the centre of nine tenths of the values of members of a paint with
+    #: flakes, after they are brought to the stated angle [1].
+    max_flake_misfit=0.1,
+)
 
-#: Minimum number of pixels for a flop.
-MIN_FLOP_MEMBERS = 20
-
-#: Minimum share of a body part's pixels with a value in a band, for this band to be used [1].
-MIN_BAND_SHARE = 0.9
-
-#: Maximum relative difference from the centre of nine tenths of the values of members of a paint with flakes,
-#: after they are brought to the stated angle [1].
-MAX_FLAKE_MISFIT = 0.1
 
 #: Maximum lean inferred from a change of brightness [degree]; the mirrored sun turns by twice the lean.
 MAX_LEAN_DEG = MAX_ASPECULAR_RANGE_DEG / 2.0
@@ -224,11 +224,11 @@ def flop_of(members: Array, good: Array) -> tuple[Floats, float]:
     many bands keeps it small.
     """
     values = members[np.isfinite(members[:, good]).all(axis=1)].astype(np.float64)
-    if len(values) < MIN_FLOP_MEMBERS or not good.any():
+    if len(values) < FLAKES.min_flop_members or not good.any():
         return np.full(members.shape[1], np.nan), np.nan
     median = np.median(values[:, good], axis=0)
     order = np.argsort((values[:, good] / np.maximum(median, 1e-6)).mean(axis=1), kind="stable")
-    count = max(1, round(FLOP_SHARE * len(values)))
+    count = max(1, round(FLAKES.flop_share * len(values)))
     dark, bright = values[order[:count]].mean(axis=0), values[order[-count:]].mean(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         spectrum = np.where(dark + bright > 0.0, 2.0 * (bright - dark) / (bright + dark), np.nan)
@@ -270,7 +270,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values.copy()
     # bands that many pixels lack, such as bands without irradiance, are excluded instead of the pixels
     has_value = np.isfinite(members)
-    band_is_used = has_value.sum(axis=1) > MIN_BAND_SHARE * has_value.any(axis=2).sum(axis=1)[:, None]
+    band_is_used = has_value.sum(axis=1) > FLAKES.min_band_share * has_value.any(axis=2).sum(axis=1)[:, None]
     flops, contrast = zip(*map(flop_of, members, good & band_is_used), strict=True)
     # without a split all light is assumed to be direct, which gives the smallest lean
     split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values[:, good]
@@ -294,7 +294,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
         turned = members[number, rows] * np.exp(-place[:, None] * flake_exponents(flops[number]))
         # several materials in a region do not become alike
         misfit = np.abs(turned[:, used] / centre[used] - 1.0)
-        if misfit.size and float(np.quantile(misfit, 0.9)) <= MAX_FLAKE_MISFIT:
+        if misfit.size and float(np.quantile(misfit, 0.9)) <= FLAKES.max_flake_misfit:
             members[number, rows] = turned
     return library.assign(member_reflectance=library["member_reflectance"].copy(data=members)).assign(
         {
@@ -315,20 +315,6 @@ COVERED_SUN_U = 0.5
 
 #: Maximum standard uncertainty of the diffuse fraction under broken clouds with free sun [1].
 FREE_SUN_U = 0.12
-
-
-def with_leans(library: xr.Dataset, regions: Regions) -> xr.Dataset:
-    # Return a library with ``lean`` (signature): of proposed regions their own, of others the prior lean of
-    # a roof, or of a body part that nothing shows to be a roof; NaN of other surfaces than paint.
-    roof = float(np.hypot(LEANS.roll_deg, LEANS.rake_deg))
-    leans = [
-        np.nan
-        if words_of(region) & _NO_PAINT
-        else region.properties.get("lean", roof if "roof" in words_of(region) else JUDGING.panel_deg)
-        for region in regions
-    ]
-    lean = xr.DataArray(np.array(leans, np.float64), dims=SIGNATURE, attrs=LIBRARY_VARIABLES["lean"].attrs)
-    return library.assign_coords(lean=lean)
 
 
 def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
@@ -744,7 +730,17 @@ def extract_signatures(
         name: source_of(dataset, smooth, specular_sky, sun_zenith, diffuse)
         for name, (dataset, _) in lines.items()
     }
-    _check_bands(sources)
+    (first_name, first_source), *further = sources.items()
+    problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
+    for other_name, other in further:
+        nm, first_nm = other.wavelength, first_source.wavelength
+        problems.add_if(
+            nm.shape != first_nm.shape or not np.allclose(nm, first_nm, rtol=0.0, atol=1e-3),
+            f"bands of {other_name!r} differ from those of {first_name!r}",
+            mend="extract a library from every line",
+            code="bands-differ",
+        )
+    problems.raise_if_any()
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
     pixels = _pixels_of_regions(region_list, lines, sources)
     rounds = [
@@ -753,7 +749,16 @@ def extract_signatures(
         for batch, bands in _rounds(sources[name], positions, pixels, all_bands=centre == "geometric_median")
     ]
     if centre == "geometric_median":
-        _check_complete(rounds, sources, pixels, region_list)
+        problems = Problems("the geometric median needs all bands of a region in memory", SchemaError)
+        for name, (number, *_), bands in rounds:
+            if bands.start == 0 and bands.stop < sources[name].wavelength.size:
+                problems.add(
+                    f"region {region_list[number].name!r} has {pixels[number].size} pixels: more than "
+                    f"{MAX_COMPLETE_BYTES >> 20} MiB",
+                    mend='draw a smaller region, or pass centre="trimmed_mean"',
+                    code="region-too-large",
+                )
+        problems.raise_if_any()
     drafts = [Draft(sources[names[position]], region_pixels) for position, region_pixels in enumerate(pixels)]
     excluded = [excluded_of(region, flags) if exclude is None else exclude for region in region_list]
     for number, (name, batch, bands) in enumerate(rounds):
@@ -816,7 +821,17 @@ def extract_signatures(
         library = library.assign(
             sun_zenith=library["sun_zenith"].copy(data=np.full(library.sizes[SIGNATURE], float(sun_zenith)))
         )
-    library = with_coat_strength(with_leans(library, remaining), sun_zenith)
+    # lean of proposed regions their own, of others the prior lean of a roof, or of a body part that nothing
+    # shows to be a roof; NaN of other surfaces than paint
+    roof_lean = float(np.hypot(LEANS.roll_deg, LEANS.rake_deg))
+    leans = [
+        np.nan
+        if words_of(region) & _NO_PAINT
+        else region.properties.get("lean", roof_lean if "roof" in words_of(region) else JUDGING.panel_deg)
+        for region in remaining
+    ]
+    lean = xr.DataArray(np.array(leans, np.float64), dims=SIGNATURE, attrs=LIBRARY_VARIABLES["lean"].attrs)
+    library = with_coat_strength(library.assign_coords(lean=lean), sun_zenith)
     if specular_sky:
         strength = float(interface_reflectance(0.0, coat_index))
         library = remove_mirrored_sky(library, strength=strength, diffuse=diffuse, sun_zenith=sun_zenith)
@@ -867,20 +882,6 @@ _METRES_WITHOUT_CRS = (
 
 
 # --- pixels and rounds, with checks before values are read -------------------------------------------------
-
-
-def _check_bands(sources: Mapping[str, Source]) -> None:
-    (reference_name, reference), *further = sources.items()
-    problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
-    for name, source in further:
-        nm, reference_nm = source.wavelength, reference.wavelength
-        problems.add_if(
-            nm.shape != reference_nm.shape or not np.allclose(nm, reference_nm, rtol=0.0, atol=1e-3),
-            f"bands of {name!r} differ from those of {reference_name!r}",
-            mend="extract a library from every line",
-            code="bands-differ",
-        )
-    problems.raise_if_any()
 
 
 def _pixels_of_regions(
@@ -935,26 +936,6 @@ def _rounds(
             batch_bytes += region_bytes
     if batch:
         yield batch, slice(0, bands)
-
-
-def _check_complete(
-    rounds: Sequence[tuple[str, list[int], slice]],
-    sources: Mapping[str, Source],
-    pixels: Sequence[RegionPixels],
-    regions: Regions,
-) -> None:
-    # Raise for regions whose bands are divided among rounds
-    problems = Problems("the geometric median needs all bands of a region in memory", SchemaError)
-    for name, (number, *_), bands in rounds:
-        if bands.start == 0 and bands.stop < sources[name].wavelength.size:
-            count = pixels[number].size
-            problems.add(
-                f"region {regions[number].name!r} has {count} pixels: more than "
-                f"{MAX_COMPLETE_BYTES >> 20} MiB",
-                mend='draw a smaller region, or pass centre="trimmed_mean"',
-                code="region-too-large",
-            )
-    problems.raise_if_any()
 
 
 def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:

@@ -258,7 +258,19 @@ def source_of(
     size, nominal = line.sizes[BAND], to_nominal(line)
     good = variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrections))
-    light = _split_of_lines(line, diffuse, sun_zenith, required=specular_sky)
+    # division of the light of every line, in memory; None where the line does not declare it
+    if not specular_sky and diffuse is None and not has_split(line):
+        light = None
+    else:
+        split = split_of(line, diffuse, sun_zenith)
+        shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
+        state: Any = xr.DataArray(split.state, dims=()) if isinstance(split.state, int) else split.state
+        *arrays, state = dask.compute(split.fraction.variable, split.u.variable, state.variable)
+        fraction, u = (np.asarray(array.set_dims(shape).values, np.float64) for array in arrays)
+        states = state.set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
+        if specular_sky and diffuse is None:
+            warn_of_contradiction(states, split.zenith)
+        light = SplitOfLines(fraction, u, states.astype(np.int64))
     filtering = None
     if smoothing is not None:
         SchemaError.raise_if(
@@ -301,23 +313,6 @@ def source_of(
         filtering=filtering,
         declared=declared,
     )
-
-
-def _split_of_lines(
-    line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, required: bool
-) -> SplitOfLines | None:
-    # Division of the light of every line, in memory; None where the line does not declare it
-    if not required and (diffuse is None and not has_split(line)):
-        return None
-    split = split_of(line, diffuse, sun_zenith)
-    shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
-    state: Any = xr.DataArray(split.state, dims=()) if isinstance(split.state, int) else split.state
-    *arrays, state = dask.compute(split.fraction.variable, split.u.variable, state.variable)
-    fraction, u = (np.asarray(array.set_dims(shape).values, np.float64) for array in arrays)
-    states = state.set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
-    if required and diffuse is None:
-        warn_of_contradiction(states, split.zenith)
-    return SplitOfLines(fraction, u, states.astype(np.int64))
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:

@@ -1,6 +1,7 @@
 """Pixels of a region: spectra from a lazy cube; centre, spread, members, number of independent pixels."""
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -29,14 +30,15 @@ from hyperpaint.surroundings.scratch import trim_memory
 CENTRES = ("trimmed_mean", "geometric_median", "median")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
-#: Maximum distance from the centre of values in the trimmed mean, in standard deviations.
-TRIM_SIGMAS = 3.0
-#: Standard deviation of a normal distribution over its median absolute deviation.
-_SD_OVER_MAD = 1.482602218505602
-MAX_ITERATIONS = 100
-
-#: Change of reflectance at which the geometric median has converged [1].
-CONVERGED_CHANGE = 1e-7
+CENTRING = SimpleNamespace(
+    #: Maximum distance from the centre of values in the trimmed mean, in standard deviations.
+    trim_sigmas=3.0,
+    #: Standard deviation of a normal distribution over its median absolute deviation.
+    sd_over_mad=1.482602218505602,
+    max_iterations=100,
+    #: Change of reflectance at which the geometric median has converged [1].
+    converged_change=1e-7,
+)
 
 
 def summarise(values: Array, centre: str) -> dict[str, Floats]:
@@ -77,10 +79,10 @@ def _median(ordered: Floats) -> float:
 
 def _trimmed_mean(ordered: Floats) -> float:
     centre = _median(ordered)
-    spread = _SD_OVER_MAD * _median(np.sort(np.abs(ordered - centre)))
+    spread = CENTRING.sd_over_mad * _median(np.sort(np.abs(ordered - centre)))
     retained = ordered
-    for _ in range(MAX_ITERATIONS):
-        reach = TRIM_SIGMAS * spread
+    for _ in range(CENTRING.max_iterations):
+        reach = CENTRING.trim_sigmas * spread
         start = int(np.searchsorted(retained, centre - reach, "left"))
         stop = int(np.searchsorted(retained, centre + reach, "right"))
         # of equal values, rounding may exclude all
@@ -103,16 +105,16 @@ def geometric_median(values: Array) -> Floats:
     centre = np.array(
         [np.median(v[k]) if k.any() else 0.0 for v, k in zip(filled.T, has_value.T, strict=True)]
     )
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(CENTRING.max_iterations):
         distance = np.sqrt((np.where(has_value, filled - centre, 0.0) ** 2).sum(axis=1) / count)
         # limits the weight of a spectrum at the centre
-        weight = 1.0 / np.maximum(distance, CONVERGED_CHANGE)
+        weight = 1.0 / np.maximum(distance, CENTRING.converged_change)
         moved = (filled * weight[:, None]).sum(axis=0) / np.where(
             band_has_value, (has_value * weight[:, None]).sum(axis=0), 1.0
         )
         change = np.abs(moved - centre).max(initial=0.0)
         centre = moved
-        if change < CONVERGED_CHANGE:
+        if change < CENTRING.converged_change:
             break
     return np.where(band_has_value, centre, np.nan)
 
@@ -214,12 +216,12 @@ def excluded_of(region: Region, default: int) -> int:
     if names is None:
         return default & ~int(_OF_FLAKES) if words_of(region) & FLAKE_PAINTS else default
     flags = {flag.name.lower(): int(flag) for flag in Quality if flag.name}
-    if not isinstance(names, list) or not set(names) <= set(flags):
-        raise SchemaError(
-            f"region {region.name!r}: excluded_flags is {names!r:.80}",
-            expected=f"a list of {', '.join(flags)}",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        not isinstance(names, list) or not set(names) <= set(flags),
+        f"region {region.name!r}: excluded_flags is {names!r:.80}",
+        expected=f"a list of {', '.join(flags)}",
+        code="choice-unknown",
+    )
     return sum(flags[name] for name in set(names))
 
 
