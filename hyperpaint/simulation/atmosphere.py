@@ -56,6 +56,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -726,8 +727,10 @@ _NUMBERS = {
     name: (SKY[name].unit or "1", SKY[name].doc.capitalize())
     for name in ("sun_zenith", "sun_azimuth", "overcast_share")
 }
-_RANGE_NM = (340.0, 1100.0)  # wavelengths of the built-in sky
-_MAX_RESIDUAL = 0.25  # relative root mean square, reached by aerosol or thin cloud
+_RECORD_FIT = SimpleNamespace(
+    range_nm=(340.0, 1100.0),  # wavelengths of the built-in sky
+    max_residual=0.25,  # relative root mean square, reached by aerosol or thin cloud
+)
 _NOISE = 0.01  # maximum negative noise relative to the maximum irradiance
 
 
@@ -866,7 +869,11 @@ class Atmosphere:
         # sky has no absorption bands beyond 1000 nm.
         #
         # Raises `SchemaError`: The sun is not above the horizon, or the grid is invalid.
-        grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        grid = (
+            spectral_grid(*_RECORD_FIT.range_nm)
+            if wavelength is None
+            else np.asarray(wavelength, dtype=np.float64)
+        )
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
         return cls._with_haze(
             grid, sun, sky, haze, aerosol=aerosol, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
@@ -1023,7 +1030,7 @@ class Atmosphere:
             fit = fit_sky(table, sun_zenith)
             fitted = {"clear_shares": fit["share"].transpose("function", ...).values[1:]}
             warn_if(
-                (residual := float(fit["misfit"].max())) > _MAX_RESIDUAL,
+                (residual := float(fit["misfit"].max())) > _RECORD_FIT.max_residual,
                 f"clear-sky functions fit the radiance of {source} with a residual of {residual:.0%}",
                 "sky-fit-poor",
             )

@@ -35,6 +35,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -596,12 +597,13 @@ class Detector:
 
 
 _SIGMA_PER_FWHM = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
-_TAIL = 1e-9  # minimum weight of a neighbour in a point spread
-_RANK = (
-    1e-12  # minimum singular value of a kernel, relative to the largest; smaller values are rounding errors
+_SVD = SimpleNamespace(
+    tail=1e-9,  # minimum weight of a neighbour in a point spread
+    #: Minimum singular value of a kernel, relative to the largest; smaller values are rounding errors.
+    rank=1e-12,
+    #: Decay length of scattered light [nm], and its share; the rest is equal in all bands.
+    wings=(60.0, 0.6),
 )
-#: Decay length of scattered light [nm], and its share; the rest is equal in all bands.
-_WINGS = (60.0, 0.6)
 
 
 def point_spread(fwhm: float) -> Floats:
@@ -633,7 +635,7 @@ def point_spread(fwhm: float) -> Floats:
 
     variance = (_SIGMA_PER_FWHM * fwhm) ** 2
     right_side = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMA_PER_FWHM * fwhm + 8.0)) + 1), variance))
-    right_side = right_side[: int(np.flatnonzero(right_side > _TAIL).max()) + 1]
+    right_side = right_side[: int(np.flatnonzero(right_side > _SVD.tail).max()) + 1]
     weights = np.concatenate([right_side[:0:-1], right_side])
     return np.asarray(weights / weights.sum())
 
@@ -660,7 +662,7 @@ def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     >>> stray_light_wings(np.array([400.0, 700.0, 1000.0]), 0.02).sum(axis=0).round(6)
     array([0.02, 0.02, 0.02])
     """
-    decay_nm, peaked_share = _WINGS
+    decay_nm, peaked_share = _SVD.wings
     wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / decay_nm)
     wing = peaked_share * wing / wing.sum(axis=0) + (1.0 - peaked_share) / len(wavelength)
     return np.asarray(share * wing)
@@ -703,7 +705,7 @@ class Optics:
             # a kernel (line, column) as a sum of products of weights along and across the track
             kernel = np.asarray(settings.psf_kernel, np.float64)
             along, scales, across = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
-            rank = int(np.count_nonzero(scales > _RANK * scales[0]))
+            rank = int(np.count_nonzero(scales > _SVD.rank * scales[0]))
             pairs = [(along[:, k] * scales[k], across[k]) for k in range(rank)]
         # weights of lines (line,), and of columns in every band (band, column)
         self._terms = [(along, _displaced(across, self.keystone)) for along, across in pairs]

@@ -29,6 +29,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -921,17 +922,19 @@ SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 
 _STEP_NM = 0.1
 _LEAD_S, _PAINT_S, _PANEL_S = 3600, 60, 15  # times from first paint to flight, between paints, panel to paint
-_MARGIN_NM = 40.0  # beyond the outer channels, more than the reach of a line shape
+_FINE_AXIS = SimpleNamespace(
+    margin_nm=40.0,  # beyond the outer channels, more than the reach of a line shape
+    #: Maximum height difference of neighbouring pixels over their distance: includes roofs and bonnets, not
+    #: doors.
+    max_slope=0.1,
+    margin_divisor=8,  # shorter side over the margin at every edge
+)
 
 
 #: Name of the file of regions.
 REGIONS = "regions.geojson"
 
-#: Maximum height difference of neighbouring pixels over their distance: includes roofs and bonnets, not
-#: doors.
-_MAX_SLOPE = 0.1
 MIN_SIDE_PIXELS = 6  #: Minimum length of the shorter side.
-_MARGIN_DIVISOR = 8  # shorter side over the margin at every edge
 
 #: First and last line, first and last column of a rectangle.
 _Box = tuple[int, int, int, int]
@@ -956,7 +959,7 @@ class PaintedRectangles:
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
-        self._step = _MAX_SLOPE * flight.ground_sample
+        self._step = _FINE_AXIS.max_slope * flight.ground_sample
         self._rectangles_by_paint: dict[int, tuple[str, _Box]] = {}
         self._areas: dict[int, int] = {}
         self.begin("")
@@ -1005,7 +1008,7 @@ class PaintedRectangles:
         # ``generator`` marks the file as simulated.
         features = []
         for number, (flightline, (top, bottom, left, right)) in sorted(self._rectangles_by_paint.items()):
-            margin = max(1, min(bottom + 1 - top, right + 1 - left) // _MARGIN_DIVISOR)
+            margin = max(1, min(bottom + 1 - top, right + 1 - left) // _FINE_AXIS.margin_divisor)
             top, bottom, left, right = top + margin, bottom - margin, left + margin, right - margin
             ring = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
             paint = self._flight.paints[number]
@@ -1069,9 +1072,11 @@ MARKER = "# simulated by hyperpaint"
 
 _UNFINISHED = f"{MARKER}: not finished\n"
 
-_BOOT = 1_234_567_891_000  # instrument's clock at the first line [ns]; it has no date
-_NAVIGATION_MARGIN_NS = 2 * 10**9  # navigation before and after the flight
-_DARK_LEAD_NS = 60 * 10**9  # time from the first dark frame to the first line
+_RECORDS = SimpleNamespace(
+    boot=1_234_567_891_000,  # instrument's clock at the first line [ns]; it has no date
+    navigation_margin_ns=2 * 10**9,  # navigation before and after the flight
+    dark_lead_ns=60 * 10**9,  # time from the first dark frame to the first line
+)
 
 
 @documented(overwrite="own overwrite")
@@ -1168,7 +1173,7 @@ def simulate_collect(
     dark.astype("<u2").tofile(folder / "raw_0")
     write_bil_header(folder / "raw_0", flight.wavelength, settings, len(dark))
     frames = np.arange(len(dark), dtype=np.int64)
-    mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
+    mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _RECORDS.dark_lead_ns
     write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
     write_settings(folder / "settings.txt", settings)
     samples = flight.sky_samples()
@@ -1185,7 +1190,7 @@ def simulate_collect(
     for directory in (svc, asd):
         directory.mkdir()
     nm = svc_wavelengths()
-    grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
+    grid = spectral_grid(nm.min() - _FINE_AXIS.margin_nm, nm.max() + _FINE_AXIS.margin_nm, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
     # radiance of the white panel, then of the paints
     spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.measured_paints, grid)])
@@ -1285,7 +1290,7 @@ def _prepare(root: Path, overwrite: bool) -> Path:
 
 
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
+    return np.asarray((since_start + _RECORDS.boot) // 1000, dtype=np.int64)
 
 
 def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
@@ -1329,8 +1334,8 @@ def _write_flight(
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     write_settings(folder / "settings.txt", settings)
     since = np.arange(
-        -_NAVIGATION_MARGIN_NS,
-        int(flight.line_times[-1]) + _NAVIGATION_MARGIN_NS,
+        -_RECORDS.navigation_margin_ns,
+        int(flight.line_times[-1]) + _RECORDS.navigation_margin_ns,
         10**9 // settings.navigation_rate,
         dtype=np.int64,
     )

@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -679,13 +679,15 @@ class CheckerboardFlight(Flight):
 #: Reflectance added by the sun mirrored in a clear coat, above which a pixel is glint [1].
 GLINT = 0.02
 
-_MAX_LENGTH_M = 2000.0  # maximum length of the car park
-_MARGIN_BEFORE_M = 3.0  # minimum length of car park before and behind the imaged area
-_PANEL_PERIOD_M = 30.0  # distance of repeated grey panels, with which a flight starts
-_GROUND_MARGIN_M = 30.0  # ground around the car park
-_MIN_LEAN_DEG = 0.5  # minimum angle assumed between camera axis and vertical
-_SKY_RINGS = 12  # parts of the sky that light a sample of a field spectrometer
-_LINES_AT_ONCE = 4  # lines traced by a thread at once
+_RENDERED = SimpleNamespace(
+    max_length_m=2000.0,  # maximum length of the car park
+    margin_before_m=3.0,  # minimum length of car park before and behind the imaged area
+    panel_period_m=30.0,  # distance of repeated grey panels, with which a flight starts
+    ground_margin_m=30.0,  # ground around the car park
+    min_lean_deg=0.5,  # minimum angle assumed between camera axis and vertical
+    sky_rings=12,  # parts of the sky that light a sample of a field spectrometer
+    lines_at_once=4,  # lines traced by a thread at once
+)
 
 
 class RenderedFlight(Flight):
@@ -795,7 +797,9 @@ class RenderedFlight(Flight):
         # mirror reflection, shape (name, wavelength).
         direct, diffuse = (np.interp(wavelength, self.grid, light) for light in self.sky)
         # equal parts of the light of a uniform sky
-        rings = np.degrees(np.arcsin(np.sqrt((np.arange(_SKY_RINGS) + 0.5) / _SKY_RINGS))).tolist()
+        rings = np.degrees(
+            np.arcsin(np.sqrt((np.arange(_RENDERED.sky_rings) + 0.5) / _RENDERED.sky_rings))
+        ).tolist()
         factors = []
         for name in names:
             body, paint = spectrum_of(name)(wavelength), paint_spec(name).material()
@@ -833,17 +837,17 @@ class RenderedFlight(Flight):
         settings = self.settings
         # maximum distance ahead at which the camera looks, and length of park before its view [m]
         path = self.trajectory
-        lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
+        lean = float(np.tan(np.radians(max(_RENDERED.min_lean_deg, path.steepest))))
         ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
         yaw_margin = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
-        self._ahead = ahead + _MARGIN_BEFORE_M
-        before = ahead + max(_MARGIN_BEFORE_M, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
-        start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
+        self._ahead = ahead + _RENDERED.margin_before_m
+        before = ahead + max(_RENDERED.margin_before_m, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
+        start = np.ceil((before + ahead) / _RENDERED.panel_period_m) * _RENDERED.panel_period_m - ahead
         length = start + settings.lines * self.ground_sample + before
         SchemaError.raise_if(
-            length > _MAX_LENGTH_M,
+            length > _RENDERED.max_length_m,
             f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
-            expected=f"at most {_MAX_LENGTH_M:g} m",
+            expected=f"at most {_RENDERED.max_length_m:g} m",
             mend="take fewer lines, more columns, or scene='plan'",
             code="flight-too-long",
         )
@@ -857,7 +861,7 @@ class RenderedFlight(Flight):
             # flakes only for the real fleet: a metallic paint has no single reflectance for a field
             # spectrometer
             flakes=settings.fleet == "real",
-            margin=float(_GROUND_MARGIN_M + 2 * before),
+            margin=float(_RENDERED.ground_margin_m + 2 * before),
             name="simulated car park",
         )
         return park.moved((0.0, -float(start), 0.0))
@@ -874,11 +878,11 @@ class RenderedFlight(Flight):
         platform = self.platform
 
         def trace(begin: int) -> Block:
-            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
+            return trace_block(self._scene, platform, begin, min(begin + _RENDERED.lines_at_once, stop))
 
         # threads run in parallel, because the kernel releases the interpreter lock
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
+            blocks = list(pool.map(trace, range(start, stop, _RENDERED.lines_at_once)))
         block = Block(*map(np.concatenate, zip(*blocks, strict=True)))
         factors = self._factors(start, stop)
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))

@@ -20,6 +20,7 @@ the ground.
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -43,12 +44,14 @@ from .scene_spectra import FOURTEEN, PANELS, fleet_names, is_paint, paint_spec
 # --- cars ---------------------------------------------------------------------------------------------------
 
 
-_BODY_CREASE_DEG = 38.0  # angle above which an edge is not smoothed
-_TREAD_CREASE_DEG = 40.0
-_SEAM_M = 0.009  # width of a gap between body parts
-_SILL_M = 0.19  # height of the lower edge of the body
-_WHEEL_M = (0.315, 0.20)  # radius and width
-_WHEEL_SIDES = 10
+_BODY = SimpleNamespace(
+    body_crease_deg=38.0,  # angle above which an edge is not smoothed
+    tread_crease_deg=40.0,
+    seam_m=0.009,  # width of a gap between body parts
+    sill_m=0.19,  # height of the lower edge of the body
+    wheel_m=(0.315, 0.20),  # radius and width
+    wheel_sides=10,
+)
 
 
 # Proportions of a type of car: positions as fractions of its length from the nose, heights in metres
@@ -149,7 +152,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     length, width, height = (rng.uniform(*limits) for limits in (shape.length, shape.width, shape.height))
     sunroof, rails = rng.random() < 0.15, rng.random() < 0.6
     # Stations of sections, from nose (0) to tail (1)
-    gap = _SEAM_M / length
+    gap = _BODY.seam_m / length
     seams = [0.045, *shape.doors, *(() if shape.bed else (shape.boot_seam,))]
     bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
     glass = [shape.cowl, 0.5 * (shape.cowl + shape.windscreen_top), shape.windscreen_top]
@@ -171,7 +174,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     # a floor between the sills blocks light from below
     rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
     parts = [
-        Part(lattice, (sections, surface, part), crease=_BODY_CREASE_DEG),
+        Part(lattice, (sections, surface, part), crease=_BODY.body_crease_deg),
         *_ends(sections),
         Part(lattice, (sections[rows][:, [-1, 0]], "trim", "underbody")),
         *_wheels(length, width),
@@ -205,15 +208,15 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
     # points of the sections from left to right sill, shape (station, column, 3) [m]
     half_width = 0.5 * width * _profile(stations, _PLAN)
     edge = _profile(stations, shape.edge)
-    rise = edge - _SILL_M
+    rise = edge - _BODY.sill_m
     # height of a section between deck (0) and roof (1)
     front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
     back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
     roof_share = np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
     flank = [
-        (0.945 * half_width, np.full_like(half_width, _SILL_M)),
-        (1.0 * half_width, _SILL_M + 0.33 * rise),
-        (0.995 * half_width, _SILL_M + 0.78 * rise),
+        (0.945 * half_width, np.full_like(half_width, _BODY.sill_m)),
+        (1.0 * half_width, _BODY.sill_m + 0.33 * rise),
+        (0.995 * half_width, _BODY.sill_m + 0.78 * rise),
         (0.965 * half_width, edge - 0.02),
         (0.905 * half_width, edge + 0.004),
     ]
@@ -222,11 +225,11 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
         (stations - shape.windscreen_top) / (shape.roof_end - shape.windscreen_top), 0.0, 1.0
     )
     top = height - 0.035 * (2 * roof_position - 1) ** 2 - 0.01
-    seam = _SEAM_M / 0.905
+    seam = _BODY.seam_m / 0.905
     inner = []
     for share, inset, drop in (
         (0.86, 0.0, 0.10),
-        (0.86 - seam, _SEAM_M, 0.094),
+        (0.86 - seam, _BODY.seam_m, 0.094),
         (0.78, 0.075, 0.045),
         (0.40, 0.5 * roof, 0.010),
         (0.0, roof, 0.0),
@@ -251,7 +254,7 @@ def _cells(
     shape: CarShape, length: float, *, sunroof: bool
 ) -> Iterable[tuple[float, float, int | range, str, str]]:
     # ranges of stations and columns with their surface and part of the car
-    lid, nose, gap = shape.boot_seam, 0.045, _SEAM_M / length
+    lid, nose, gap = shape.boot_seam, 0.045, _BODY.seam_m / length
     cowl, top, roof_end, rear = shape.cowl, shape.windscreen_top, shape.roof_end, shape.rear_base
     # flanks
     yield 0.0, 1.0, _SIDE, "paint", "wing"
@@ -291,23 +294,25 @@ def _ends(sections: Floats) -> Iterator[Part]:
     for row, order in ((0, 1), (-1, -1)):
         left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]
         yield Part(
-            lattice, (np.stack([left, right], axis=1)[::order], "paint", "bumper"), crease=_BODY_CREASE_DEG
+            lattice,
+            (np.stack([left, right], axis=1)[::order], "paint", "bumper"),
+            crease=_BODY.body_crease_deg,
         )
 
 
 def _wheels(length: float, width: float) -> Iterator[Part]:
-    radius, wheel_width = _WHEEL_M
-    angle = 2 * np.pi * np.arange(_WHEEL_SIDES) / _WHEEL_SIDES
+    radius, wheel_width = _BODY.wheel_m
+    angle = 2 * np.pi * np.arange(_BODY.wheel_sides) / _BODY.wheel_sides
     for side in (-1, 1):
         x = side * (0.5 * width + 0.006)
-        rim = np.stack([np.zeros(_WHEEL_SIDES), side * np.cos(angle), np.sin(angle)], axis=1)
+        rim = np.stack([np.zeros(_BODY.wheel_sides), side * np.cos(angle), np.sin(angle)], axis=1)
         for axle in (0.5 - 0.185, 0.5 - 0.80):
             hub = np.array([x, axle * length, radius])
             back = hub - (side * wheel_width, 0, 0)
             arch = hub - (side * 0.003, 0, 0) + 1.17 * radius * rim
-            arch[:, 2] = np.maximum(arch[:, 2], _SILL_M)
-            tread = back, hub, (radius, radius), "tyre", "wheel", _WHEEL_SIDES, False
-            yield Part(tube, tread, crease=_TREAD_CREASE_DEG)
+            arch[:, 2] = np.maximum(arch[:, 2], _BODY.sill_m)
+            tread = back, hub, (radius, radius), "tyre", "wheel", _BODY.wheel_sides, False
+            yield Part(tube, tread, crease=_BODY.tread_crease_deg)
             yield Part(polygon, (hub + radius * rim, "tyre", "wheel"))
             yield Part(polygon, (hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel"))
             # smoothing drops the triangles without area that clipping at the sill leaves
@@ -322,18 +327,20 @@ BAY = (5.0, 2.5)
 #: Maximum number of rows of bays.
 MAX_ROWS = 199
 
-_ROUNDING_M = 1e-9  # by which a width may be too small for its rows
+_BEYOND = 7.0  # length of asphalt before the first bay and behind the last [m]
+_LOT = SimpleNamespace(
+    rounding_m=1e-9,  # by which a width may be too small for its rows
+    tufted=2.5,  # width of the strip of lawn with blades, from the kerb [m]
+    fleet_size=5000,  # different cars of a fleet: more than a car park has bays
+)
 _GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of the strips west of the first row [m]
 _AISLE, _WIDEST_AISLE = 4.5, 6.5
 _KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
 _ISLAND_PERIOD, _ISLAND_START = 11, 7  # bays
-_TUFTED = 2.5  # width of the strip of lawn with blades, from the kerb [m]
-_BEYOND = 7.0  # length of asphalt before the first bay and behind the last [m]
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
 _LEAF = 0.20  # length of a leaf, or of a tuft that represents several [m]
 _CREASE_DEG = 40.0  # crease angle of trunks and posts
-_FLEET_SIZE = 5000  # different cars of a fleet: more than a car park has bays
 _CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # keys of random streams
 
 
@@ -380,7 +387,7 @@ def strips_across(
     [(-6.6, -1.6), (2.9, 7.9), (-1.6, 2.9)]
     """
     edge = _GRASS + _KERB + _GUTTER
-    wanted = rows or max(n for n in range(1, MAX_ROWS + 1) if _least_width(n) <= width + _ROUNDING_M)
+    wanted = rows or max(n for n in range(1, MAX_ROWS + 1) if _least_width(n) <= width + _LOT.rounding_m)
     aisles = (wanted + 1) // 2
     aisle = min(_AISLE + (width - _least_width(wanted)) / aisles, _WIDEST_AISLE) if wanted < 4 else _AISLE
     west, row_ends, aisle_ends = edge - 0.5 * width, [], []
@@ -511,7 +518,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
         foot = rng.uniform(
-            (east - _TUFTED, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
+            (east - _LOT.tufted, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
         )
         lean = rng.normal(0.0, 0.05, (count, 3)) * (1, 1, 0) + (0, 0, 0.07)
         side = rng.normal(0.0, 0.06, (count, 3)) * (1, 1, 0)
@@ -672,7 +679,8 @@ def car_park(
     problems.raise_if_any()
     if paints is None:
         first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
-        paints = fleet_names(first, _FLEET_SIZE) if fleet == "real" else FOURTEEN
+        paints = fleet_names(first, _LOT.fleet_size) if fleet == "real" else FOURTEEN
+    cards = tuple(paints)
     surroundings = _WORN if fleet == "real" else _SURROUNDINGS
     options: dict[str, Any] = {"margin": margin, "line_width": line_width, "islands": islands}
     layout = strips_across(length, width, rows, **options, walls="walls" in neighbours)
@@ -694,7 +702,11 @@ def car_park(
         rng = np.random.default_rng([seed, _CARS, bay, row])
         if rng.random() >= occupancy or (bay, row) in layout.islands:
             continue
-        car, paint = f"car_{bay * len(layout.rows) + row:03d}", _paint_of(dealt, tuple(paints), seed)
+        # consecutive cars use every paint once before any is used again; a fleet is spread evenly as it comes
+        deck, card = divmod(dealt, len(cards))
+        if len(cards) != _LOT.fleet_size:
+            card = int(np.random.default_rng([seed, _PAINTS, deck]).permutation(len(cards))[card])
+        car, paint = f"car_{bay * len(layout.rows) + row:03d}", cards[card]
         dealt += 1
         # its material: coat and flakes of the catalogue unless given
         name_of_paint = f"paint of {car}"
@@ -719,14 +731,6 @@ def car_park(
         if kind in neighbours:
             scenes += placed(things(layout))
     return Scene.join(scenes, name)
-
-
-def _paint_of(number: int, paints: Sequence[str], seed: int) -> str:
-    # consecutive cars use every paint once before any is used again; a fleet is spread evenly as it comes
-    if len(paints) == _FLEET_SIZE:
-        return paints[number % _FLEET_SIZE]
-    deck, card = divmod(number, len(paints))
-    return paints[int(np.random.default_rng([seed, _PAINTS, deck]).permutation(len(paints))[card])]
 
 
 _LENGTH: dict[str, Any] = {"kind": "number", "unit": "m", "scale": 1.0, "most": 10_000.0}
@@ -796,7 +800,7 @@ def note_car_park_faults(
     rows = values["rows"] or 1
     least = _least_width(rows)
     problems.add_if(
-        values["width"] + _ROUNDING_M < least,
+        values["width"] + _LOT.rounding_m < least,
         spelled("width", values["width"]),
         expected=f"{least:.1f} m or more for {rows} rows of bays",
         mend="make it wider, or take fewer rows",

@@ -16,6 +16,7 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 
 import functools
 from dataclasses import MISSING, dataclass, replace
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -320,12 +321,12 @@ def measured_factor(
     array([0.4927])
     """
     measured = np.asarray(reflectance, dtype=np.float64)
-    if nonfinite_count := int((~np.isfinite(measured)).sum()):
-        raise SchemaError(
-            f"{nonfinite_count} of {measured.size} measured reflectances are not finite",
-            mend="fill the gaps",
-            code="not-finite",
-        )
+    SchemaError.raise_if(
+        (nonfinite_count := int((~np.isfinite(measured)).sum())),
+        f"{nonfinite_count} of {measured.size} measured reflectances are not finite",
+        mend="fill the gaps",
+        code="not-finite",
+    )
     if measured.size and measured.max() > 2.0:
         raise SchemaError(
             f"a measured reflectance reaches {measured.max():.4g}",
@@ -417,17 +418,20 @@ def coated_reflectance(
 # --- gloss and flop index -----------------------------------------------------------------------------------
 
 
-_GLOSS_ANGLE_DEG = 20.0
-_GLASS_INDEX = 1.567  # refractive index of the black glass with 100 gloss units
-_RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in and across the plane of incidence: ISO 2813, table 1
-_SOURCE_DEG = (0.75, 2.5)  # size of the image of the source
+_MEASURED = SimpleNamespace(
+    gloss_angle_deg=20.0,
+    glass_index=1.567,  # refractive index of the black glass with 100 gloss units
+    receptor_deg=(1.8, 3.6),  # field of the receptor in and across the plane of incidence: ISO 2813, table 1
+    source_deg=(0.75, 2.5),  # size of the image of the source
+    aspecular_deg=(15.0, 45.0, 110.0),
+    #: Maximum flop index of car paints: 0 is solid, 15 to 17 the highest flop of metallic and pearl
+    #: basecoats. D. H. Alman, "Directional color measurement of metallic flake finishes", ISCC Williamsburg
+    #: conference (1987); BYK-Gardner, "Instrumental color measurement of effect coatings". Sharp lobes exceed
+    #: it.
+    max_flop_index=17.0,
+)
 _LIGHT_DEG = 45.0
-_ASPECULAR_DEG = (15.0, 45.0, 110.0)
 
-#: Maximum flop index of car paints: 0 is solid, 15 to 17 the highest flop of metallic and pearl basecoats.
-#: D. H. Alman, "Directional color measurement of metallic flake finishes", ISCC Williamsburg conference
-#: (1987); BYK-Gardner, "Instrumental color measurement of effect coatings". Sharp lobes exceed it.
-MAX_FLOP_INDEX = 17.0
 
 ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
 
@@ -465,11 +469,11 @@ def gloss_units(coat: Coat) -> float:
     tilt, weight = tilt * np.radians(coat.waviness) / np.sqrt(2.0), weight / weight.sum()
     slopes = radius[:, None] * np.cos(angle)  # slopes in the plane of incidence
     cross_slopes = radius[:, None] * np.sin(angle)
-    cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
+    cosine = np.cos(np.radians(_MEASURED.gloss_angle_deg))
 
     def overlap(deflection: Floats, axis: int) -> Floats:
         # share of the source's image, shifted by an angle [rad], inside the field of the receptor
-        receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
+        receptor, source = np.radians(_MEASURED.receptor_deg[axis]), np.radians(_MEASURED.source_deg[axis])
         return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
     flux = 0.0
@@ -478,7 +482,7 @@ def gloss_units(coat: Coat) -> float:
         for tilt_across, weight_across in zip(tilt, weight, strict=True):
             overlaps = along * overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
             flux += weight_along * weight_across * float(overlaps.mean())
-    mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
+    mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _MEASURED.glass_index)]
     return float(100.0 * flux * mirrors[0] / mirrors[1])
 
 
@@ -637,7 +641,7 @@ def flop_index(
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     # view angles, positive on the side of the mirror direction
-    views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]
+    views = [_LIGHT_DEG - aspecular for aspecular in _MEASURED.aspecular_deg]
     return [lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
 
 
@@ -688,7 +692,7 @@ def flakes_of_flop(
     Parameters
     ----------
     flop
-        Flop index, at most `MAX_FLOP_INDEX`.
+        Flop index, at most `_MEASURED.max_flop_index`.
     material
         Coat, and flakes whose share and spectrum are kept.
     wavelength, body, flakes
@@ -717,7 +721,7 @@ def flakes_of_flop(
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
-    most = min(float(flops[peak]), MAX_FLOP_INDEX)
+    most = min(float(flops[peak]), _MEASURED.max_flop_index)
     SchemaError.raise_if(
         not (nearest or flops[-1] <= flop <= most),
         f"flop index is {flop}",

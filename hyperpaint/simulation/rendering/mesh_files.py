@@ -49,8 +49,7 @@ class RawTriangles(NamedTuple):
 
 
 def _require(is_right: object, found: str, *, expected: str = "", mend: str = "", code: str) -> None:
-    if not is_right:
-        raise FormatError(found, expected=expected, mend=mend, code=code)
+    FormatError.raise_if(not is_right, found, expected=expected, mend=mend, code=code)
 
 
 # --- OBJ ---------------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ import pickle
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
 import dask
@@ -370,7 +371,15 @@ _NOISE = 0.05
 #: Maximum range at an end of the bands over which a spectrum is held constant by default [nm].
 HELD_NM = 25.0
 
-_MAX_RANGES_SHOWN = 6
+_CROPPING = SimpleNamespace(
+    max_ranges_shown=6,
+    #: Maximum relative standard deviation of the level of members at one angle [1].
+    max_spread=0.05,
+    #: Minimum mean by which members are divided [1].
+    min_mean=1e-4,
+    #: Maximum of member over mean [1], which limits noise for a mean near 0.
+    max_ratio=50.0,
+)
 
 #: Variables of a library that the change of a paint with flakes needs.
 _FLAKES = frozenset(("flop", "aspecular_angle", "aspecular_range"))
@@ -384,17 +393,9 @@ PAINT_VARIABLES = (
     "diffuse_fraction",
 )
 
-#: Maximum relative standard deviation of the level of members at one angle [1].
-_MAX_SPREAD = 0.05
 
 #: Number of angles for which the change of a paint with flakes is tabulated; odd, so that one is the middle.
 _ANGLES = 65
-
-#: Minimum mean by which members are divided [1].
-_MIN_MEAN = 1e-4
-
-#: Maximum of member over mean [1], which limits noise for a mean near 0.
-_MAX_RATIO = 50.0
 
 
 # --- spectra of a user -------------------------------------------------------------------------------------
@@ -668,10 +669,10 @@ class SpectrumReader:
             if len(members) > MAX_MEMBERS:  # keep evenly spaced members
                 members = members[np.linspace(0, len(members) - 1, MAX_MEMBERS).round().astype(np.int64)]
             level = np.nansum(members, axis=1)
-            spread = float(level.std() / max(level.mean(), _MIN_MEAN)) if level.size else 0.0
+            spread = float(level.std() / max(level.mean(), _CROPPING.min_mean)) if level.size else 0.0
         if (
             set(paint.variables) >= _FLAKES
-            and spread <= _MAX_SPREAD
+            and spread <= _CROPPING.max_spread
             and shows_flakes(paint["flop"].values[is_good], paint["aspecular_range"].values)
         ):
             # members at the angles of the measurement, from the dark to the bright end
@@ -714,7 +715,9 @@ def _ranges_text(wavelength: Floats, is_missing: Bools) -> str:
         f"{first_nm:.1f}" if first_nm == last_nm else f"{first_nm:.1f} to {last_nm:.1f}"
         for first_nm, last_nm in runs
     ]
-    return ", ".join(texts[:_MAX_RANGES_SHOWN]) + (", ..." if len(texts) > _MAX_RANGES_SHOWN else "")
+    return ", ".join(texts[: _CROPPING.max_ranges_shown]) + (
+        ", ..." if len(texts) > _CROPPING.max_ranges_shown else ""
+    )
 
 
 def some_names(names: Iterable[str]) -> str:
@@ -954,10 +957,12 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
         angles[:, material] = getattr(spectrum, "angles", 0.0)
         # members over their mean, darkest first
         mean = rows[len(rows) // 2] if angles[1, material] else rows.mean(axis=0)
-        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN), _MAX_RATIO)
+        ratio = np.minimum(
+            np.clip(rows, 0.0, 1.0) / np.maximum(mean, _CROPPING.min_mean), _CROPPING.max_ratio
+        )
         if angles[1, material] == 0.0:
             # clipping to 0 and 1 must not change the mean
-            ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
+            ratio /= np.maximum(ratio.mean(axis=0), _CROPPING.min_mean)
             ratio = ratio[np.argsort(rows.mean(axis=1), kind="stable")]
         ratios.append(ratio)
         factors.append(np.full(len(rows), factor_number, np.int64))
@@ -992,14 +997,16 @@ _COVERED = 1.5  # full widths around the bands' centres that an atmosphere must 
 #: Layers with the shares of light in a pixel by source.
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
 
-_MAX_SUN_ANGLE_DEG = 0.01  # between the sun of an atmosphere and the traced sun
+_RECORD = SimpleNamespace(
+    max_sun_angle_deg=0.01,  # between the sun of an atmosphere and the traced sun
+    grid_step_nm=0.05,
+    max_times=2000,
+)
 _MAX_CACHE_BYTES = 96 * 2**20  # maximum size of cached products; others are computed whenever needed
 
 _FWHM_NM, _STEP_NM = 3.0, 1.0  # of the irradiance spectrometer
-_GRID_STEP_NM = 0.05
 _REACH = 3.3  # extent of its line shape [full widths]
 _MARGIN = np.timedelta64(10**9, "ns")  # record before the first and after the last line
-_MAX_TIMES = 2000
 
 
 def relight(
@@ -1299,7 +1306,8 @@ def _irradiance_record(
     # at the ends of the spectra a channel uses the available part of its line shape
     grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
     grid = (
-        np.arange(np.ceil(grid_start / _GRID_STEP_NM), np.floor(grid_end / _GRID_STEP_NM) + 1) * _GRID_STEP_NM
+        np.arange(np.ceil(grid_start / _RECORD.grid_step_nm), np.floor(grid_end / _RECORD.grid_step_nm) + 1)
+        * _RECORD.grid_step_nm
     )
     # direct and diffuse irradiance, (2, channel)
     curves = np.stack(
@@ -1319,7 +1327,7 @@ def _irradiance_record(
     lines = 0 if variation is None else traced.sizes[ALONG_TRACK]
     if lines:
         span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
-        steps = np.linspace(0, span, min(max(lines, 2), _MAX_TIMES)).astype(np.int64)
+        steps = np.linspace(0, span, min(max(lines, 2), _RECORD.max_times)).astype(np.int64)
         during = start + np.unique(steps).astype("timedelta64[ns]")
     times = np.concatenate([[start - _MARGIN], during, [end + _MARGIN]]).astype("datetime64[ns]")
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -1364,7 +1372,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
     )
     nearest = int(angles.argmin())
     has_clear_sky = bool((atmosphere.sky * atmosphere.clear_shares).any())
-    if angles[nearest] > _MAX_SUN_ANGLE_DEG and (atmosphere.sun.any() or has_clear_sky):
+    if angles[nearest] > _RECORD.max_sun_angle_deg and (atmosphere.sun.any() or has_clear_sky):
         traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
@@ -1610,13 +1618,13 @@ class ProductTable:
         new_codes = codes[is_new]
         computed = np.empty((self.bands.nodes.size, new_codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(new_codes), self._row_of_source[source_of(new_codes)]
-        if chosen.max(initial=-1) >= len(self._factors):
-            raise SchemaError(
-                f"a path code names spectrum {chosen.max()}",
-                expected=f"a number below {len(self._factors)}, the spectra of the scene",
-                mend="trace the scene again: transport_path is damaged, or belongs to another scene",
-                code="path-code-unknown",
-            )
+        SchemaError.raise_if(
+            chosen.max(initial=-1) >= len(self._factors),
+            f"a path code names spectrum {chosen.max()}",
+            expected=f"a number below {len(self._factors)}, the spectra of the scene",
+            mend="trace the scene again: transport_path is damaged, or belongs to another scene",
+            code="path-code-unknown",
+        )
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, computed)
         new_products = computed.swapaxes(0, 1)
         gathered = np.empty((codes.size, *new_products.shape[1:]), np.float32)

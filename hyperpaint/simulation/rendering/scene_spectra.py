@@ -45,6 +45,7 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -490,21 +491,22 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
     "coloured": (0.08, 0.28),
 }  # fmt: skip
 
-#: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it; real paints
-#: reach `materials.MAX_FLOP_INDEX`.
-FLOPS = (5.0, 16.0)
+_FLEET = SimpleNamespace(
+    #: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it; real
+    #: paints reach `materials.MAX_FLOP_INDEX`.
+    flops=(5.0, 16.0),
+    mean_age_years=9.0,
+    fleet_members=64,
+    #: Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018).
+    r2=(0.7548776662466927, 0.5698402909980532),
+)
 
-_MEAN_AGE_YEARS = 9.0
 # dust cover: median, standard deviation of the logarithm, maximum
 _COVER, _COVER_LOG_SD, _MAX_COVER = 0.015, 0.7, 0.30
 _DIRTY_SHARE, _DIRT = 0.08, 0.10  # share of dirty cars, and their additional dust cover
-_FLEET_MEMBERS = 64
 
 #: Spatial variation of dust on a car.
 DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
-
-#: Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018).
-_R2 = (0.7548776662466927, 0.5698402909980532)
 
 
 # The paint of a car of the fleet
@@ -525,7 +527,7 @@ class FleetPaint:
     def base(self, wavelength: Floats) -> Floats:
         # reflectance of its base under dust at many positions on the car, (member, wavelength)
         clean = coated_reflectance(self.pigments.albedo(wavelength), self.index)
-        normal = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_FLEET_MEMBERS, 1))
+        normal = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_FLEET.fleet_members, 1))
         return dusty(clean, np.minimum(self.cover * np.exp(0.45 * normal - 0.10), 0.6), wavelength)
 
 
@@ -540,7 +542,7 @@ def fleet_paint(number: int) -> FleetPaint:
     (78, 120)
     """
     rng = np.random.default_rng([43, number])
-    positions = [(0.5 + (number + 1) * step) % 1.0 for step in _R2]
+    positions = [(0.5 + (number + 1) * step) % 1.0 for step in _FLEET.r2]
     group = _choose(COLOUR_SHARES, positions[0])
     finish = _choose(FINISH_SHARES[group], positions[1])
     film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))) if finish == "pearl" else None
@@ -558,8 +560,8 @@ def fleet_paint(number: int) -> FleetPaint:
         if limits := {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}.get(group):
             base = replace(base, absorption=float(np.exp(rng.uniform(*np.log(limits)))))
         pigments = replace(base, interference=film)
-    share, flop = float(rng.uniform(*FLAKE_SHARES[group])), float(rng.uniform(*FLOPS))
-    age = float(min(rng.gamma(2.0, _MEAN_AGE_YEARS / 2.0), 30.0))
+    share, flop = float(rng.uniform(*FLAKE_SHARES[group])), float(rng.uniform(*_FLEET.flops))
+    age = float(min(rng.gamma(2.0, _FLEET.mean_age_years / 2.0), 30.0))
     cover = _COVER * np.exp(_COVER_LOG_SD * rng.standard_normal()) + _DIRT * (rng.random() < _DIRTY_SHARE)
     has_flakes = finish != "solid"
     return FleetPaint(
@@ -860,10 +862,11 @@ def spectrum_of(name: str) -> Spectrum:
         pigments: Pigments = paint.pigments
         if of_flakes:
             return _limited(functools.partial(pigments.flakes, turned=turned is not None))
-        if car is not None:
-            return Weathered(car.base, DIRT)
-        # near normal, under the default clear coat, without the mirror reflection
-        return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
+        return (
+            Weathered(car.base, DIRT)
+            if car is not None
+            else _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
+        )
     if name in WEATHERED:
         return WEATHERED[name]
     if name in SPECTRA:
