@@ -77,7 +77,28 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
     if not path.is_dir():
-        return dict(_file(path))
+        from hyperpaint.io.spectrometers.asd import sniff
+        from hyperpaint.io.spectrometers.spectrum_texts import is_named_as_scans
+
+        name, suffix = path.name.lower(), path.suffix.lower()
+        reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
+        if reader is None:
+            reader = _poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path))
+        if reader is None:
+            headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+            rules = (
+                (name.startswith("frameindex"), _frame_index),
+                ("imu" in name and suffix == ".txt", _navigation),
+                (name == "settings.txt", _settings),
+                (any(header.is_file() for header in headers), _envi),
+                (suffix in (*_TABLES, ".ems"), _spectra_if_any),
+                (suffix == ".mat", _materials),
+            )
+            reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
+        reader = FormatError.raise_if_none(
+            reader, f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown"
+        )
+        return dict(reader(path))
     if is_zarr(path):
         return dict(_store(path))
     if any(path.glob("*.spectrum.txt")):
@@ -533,31 +554,6 @@ _BY_CONTENT = {
     "instrument": _spectrum_text,
     "csv": _irradiance_csv,
 }
-
-
-def _file(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd import sniff
-    from hyperpaint.io.spectrometers.spectrum_texts import is_named_as_scans
-
-    name, suffix = path.name.lower(), path.suffix.lower()
-    reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
-    if reader is None:
-        reader = _poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path))
-    if reader is None:
-        headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
-        rules = (
-            (name.startswith("frameindex"), _frame_index),
-            ("imu" in name and suffix == ".txt", _navigation),
-            (name == "settings.txt", _settings),
-            (any(header.is_file() for header in headers), _envi),
-            (suffix in (*_TABLES, ".ems"), _spectra_if_any),
-            (suffix == ".mat", _materials),
-        )
-        reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
-    reader = FormatError.raise_if_none(
-        reader, f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown"
-    )
-    return reader(path)
 
 
 # --- the command ---

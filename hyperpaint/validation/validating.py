@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -839,46 +840,6 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
     return list(_library_spectra(signatures, 0, None, "band"))
 
 
-def references_from(references: Any, fwhm: float | None) -> list[Measured]:
-    # Return the spectra of spectrometer datasets and paint libraries.
-    # ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], if given by the user.
-    # Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
-    datasets = [references] if hasattr(references, "data_vars") else references
-    if isinstance(datasets, Mapping):
-        datasets = list(datasets.values())
-    SchemaError.raise_if(
-        not isinstance(datasets, Iterable) or isinstance(datasets, str),
-        f"references are {type(references).__name__}",
-        expected="a Dataset, or several",
-        mend="see open_svc",
-        code="type-wrong",
-    )
-    problems = Problems("references cannot be used", SchemaError)
-    spectra: list[Measured] = []
-    for number, dataset in enumerate(datasets, 1):
-        try:
-            spectra += _dataset_spectra(dataset, number, fwhm)
-        except (SchemaError, UnitsError) as error:
-            problems.add_error(f"reference {number}", error)
-    problems.add_if(
-        not spectra and not problems,
-        "references= is empty",
-        mend="open references with open_svc, open_asd or open_library",
-        code="empty-input",
-    )
-    problems.raise_if_any()
-    # serial numbers distinguish several instruments of one make
-    serials: dict[str, set[str]] = {}
-    for spectrum in spectra:
-        serials.setdefault(spectrum.instrument, set()).add(spectrum.serial)
-    return [
-        replace(spectrum, instrument=f"{spectrum.instrument} {spectrum.serial}")
-        if spectrum.serial and len(serials[spectrum.instrument]) > 1
-        else spectrum
-        for spectrum in spectra
-    ]
-
-
 def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
     SchemaError.raise_if(
         not hasattr(dataset, "data_vars"),
@@ -1029,6 +990,8 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
             for key in ("overlap", "mirror_reflection", "specular_component", "instrument")
         }
+        matched = dataset.get("overlap_matched", xr.DataArray(attrs.get("overlap_matched", False)))
+        is_matched = bool((matched[number] if matched.dims == ("spectrum",) else matched).any())
         mirror = attributes["mirror_reflection"] or attributes["specular_component"]
         count = dataset["n"].values[number] if "n" in dataset.variables and dataset["n"].dims else None
         # Error bits of the scans, as the instrument recorded them
@@ -1049,7 +1012,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *errors),
-            **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
+            **_overlap_of(attributes["overlap"], is_matched),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             aspecular=_aspecular_of(dataset, number, attrs, is_level=True),
@@ -1271,12 +1234,14 @@ def uncertainty_of(
     return {name: np.asarray(np.sqrt(((draws[name] - exact[name]) ** 2).mean())) for name in STATISTICS}
 
 
-#: Maximum difference of equal wavelengths [nm].
-_MAX_EQUAL_NM = 1e-3
-#: Maximum ratio of equal widths [1].
-_MAX_EQUAL_WIDTH_RATIO = 1.02
-#: Maximum factor by which resampling may multiply noise; channels much wider than a band exceed it.
-_MAX_NOISE_GAIN = 3.0
+_SAME_AXIS = SimpleNamespace(
+    #: Maximum difference of equal wavelengths [nm].
+    max_equal_nm=1e-3,
+    #: Maximum ratio of equal widths [1].
+    max_equal_width_ratio=1.02,
+    #: Maximum factor by which resampling may multiply noise; channels much wider than a band exceed it.
+    max_noise_gain=3.0,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -1313,8 +1278,8 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     is_finite = np.isfinite(spectrum.values)
     if (
         bands.wavelength.shape == spectrum.wavelength.shape
-        and (np.abs(bands.wavelength - spectrum.wavelength) <= _MAX_EQUAL_NM).all()
-        and np.allclose(bands.fwhm, spectrum.fwhm, rtol=_MAX_EQUAL_WIDTH_RATIO - 1.0)
+        and (np.abs(bands.wavelength - spectrum.wavelength) <= _SAME_AXIS.max_equal_nm).all()
+        and np.allclose(bands.fwhm, spectrum.fwhm, rtol=_SAME_AXIS.max_equal_width_ratio - 1.0)
     ):
         zero = np.where(is_finite, 0.0, np.nan)
         return Operator(None, is_finite, is_finite.astype(np.float64), zero, zero + 1.0)
@@ -1334,7 +1299,7 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     for start, stop in zip(centre[:-1][is_gap], centre[1:][is_gap], strict=True):
         has_gap |= (bands.wavelength + bands.fwhm > start) & (bands.wavelength - bands.fwhm < stop)
     # False for an unknown noise gain, NaN
-    is_covered = ~has_gap & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
+    is_covered = ~has_gap & (matching.noise_gain[0] <= _SAME_AXIS.max_noise_gain)
     weights[np.ix_(is_covered, channels)] = matching.weights[0][is_covered]
     return Operator(
         weights,
@@ -1781,7 +1746,7 @@ def compare(pair: Pair, seed: int) -> Compared:
     for reference in references:
         in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
         widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
-    is_coarser = min(widths) > _MAX_EQUAL_WIDTH_RATIO * np.median(pair.signature.fwhm)
+    is_coarser = min(widths) > _SAME_AXIS.max_equal_width_ratio * np.median(pair.signature.fwhm)
     bands = references[0] if is_coarser else pair.signature
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
     resampled = list(zip(operators[:-1], pair.references, strict=True))
@@ -1991,7 +1956,41 @@ def validate(
         if len(tuple(edges)) != 2 or not edges[0] < edges[1]
     )
     problems.raise_if_any()
-    reference_spectra = references_from(references, reference_fwhm)
+    # spectra of spectrometer datasets and paint libraries
+    datasets = [references] if hasattr(references, "data_vars") else references
+    if isinstance(datasets, Mapping):
+        datasets = list(datasets.values())
+    SchemaError.raise_if(
+        not isinstance(datasets, Iterable) or isinstance(datasets, str),
+        f"references are {type(references).__name__}",
+        expected="a Dataset, or several",
+        mend="see open_svc",
+        code="type-wrong",
+    )
+    problems = Problems("references cannot be used", SchemaError)
+    spectra: list[Measured] = []
+    for number, dataset in enumerate(datasets, 1):
+        try:
+            spectra += _dataset_spectra(dataset, number, reference_fwhm)
+        except (SchemaError, UnitsError) as error:
+            problems.add_error(f"reference {number}", error)
+    problems.add_if(
+        not spectra and not problems,
+        "references= is empty",
+        mend="open references with open_svc, open_asd or open_library",
+        code="empty-input",
+    )
+    problems.raise_if_any()
+    # serial numbers distinguish several instruments of one make
+    serials: dict[str, set[str]] = {}
+    for spectrum in spectra:
+        serials.setdefault(spectrum.instrument, set()).add(spectrum.serial)
+    reference_spectra = [
+        replace(spectrum, instrument=f"{spectrum.instrument} {spectrum.serial}")
+        if spectrum.serial and len(serials[spectrum.instrument]) > 1
+        else spectrum
+        for spectrum in spectra
+    ]
     if panel is not None:
         reference_spectra = scaled_by_panel(reference_spectra, panel, panel_surface)
     matched, unpaired_signatures, unpaired_references, missing = paired(
@@ -2072,13 +2071,15 @@ def validate(
     )
 
 
-#: Two paints seem exchanged where their RMSE with the references of one another over the RMSE with their own
-#: references is below this share [1]: samples that laboratories exchanged have 0.15 to 0.45.
-_EXCHANGED_SHARE = 0.6
-#: Minimum RMSE of a paint with its own reference that may be exchanged [1].
-_EXCHANGED_MIN_RMSE = 0.01
-#: Maximum number of paints in this search: those farthest from their references.
-_EXCHANGED_MAX_PAINTS = 200
+_EXCHANGE = SimpleNamespace(
+    #: Two paints seem exchanged where their RMSE with the references of one another over the RMSE with their
+    #: own references is below this share [1]: samples that laboratories exchanged have 0.15 to 0.45.
+    share=0.6,
+    #: Minimum RMSE of a paint with its own reference that may be exchanged [1].
+    min_rmse=0.01,
+    #: Maximum number of paints in this search: those farthest from their references.
+    max_paints=200,
+)
 
 
 def _exchanged(compared: Sequence[Compared]) -> list[str]:
@@ -2090,8 +2091,8 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
 
     compared = [comparison for comparison in compared if not comparison.exclusion]
     own_rmse = np.array([rmse(comparison, comparison) for comparison in compared])
-    candidates = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
-    farthest = np.sort(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS]).tolist()
+    candidates = np.flatnonzero(own_rmse > _EXCHANGE.min_rmse)
+    farthest = np.sort(candidates[np.argsort(-own_rmse[candidates])][: _EXCHANGE.max_paints]).tolist()
     texts = []
     for i, j in itertools.combinations(farthest, 2):
         first, second = compared[i], compared[j]
@@ -2100,7 +2101,7 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
         if not (comparable and np.array_equal(first.bands.wavelength, second.bands.wavelength)):
             continue
         crossed = rmse(first, second), rmse(second, first)
-        limit = _EXCHANGED_SHARE * (own_rmse[i] + own_rmse[j])
+        limit = _EXCHANGE.share * (own_rmse[i] + own_rmse[j])
         # both must agree: of three paints exchanged in turn, only one of two does
         both_agree = (np.array(crossed) < own_rmse[[i, j]]).all() and max(crossed) < 0.5 * limit
         if sum(crossed) < limit and both_agree:
