@@ -195,13 +195,13 @@ class PaintAccessor(_Accessor):
         from .io.store import verify
 
         source = self._dataset.encoding.get("source")
-        if not isinstance(source, str):
-            raise StoreError(
-                "the dataset has no path or URL of its store in encoding['source']",
-                expected="a dataset of xarray.open_zarr(path)",
-                mend="call hyperpaint.verify(path), or load all of a store of icechunk",
-                code="store-unknown",
-            )
+        StoreError.raise_if(
+            not isinstance(source, str),
+            "the dataset has no path or URL of its store in encoding['source']",
+            expected="a dataset of xarray.open_zarr(path)",
+            mend="call hyperpaint.verify(path), or load all of a store of icechunk",
+            code="store-unknown",
+        )
         return verify(source)
 
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:

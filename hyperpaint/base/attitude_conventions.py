@@ -176,7 +176,14 @@ class Convention:
             axes = {"X": x, "Y": y, "Z": z}
             rotation = np.eye(3)
             for axis in self.euler_order:
-                rotation = rotation @ _turn("XYZ".index(axis), np.radians(axes[axis]))
+                turn, number = np.radians(axes[axis]), "XYZ".index(axis)
+                first, second = (number + 1) % 3, (number + 2) % 3
+                about_axis = np.zeros((*turn.shape, 3, 3))
+                about_axis[..., number, number] = 1.0
+                about_axis[..., first, first] = about_axis[..., second, second] = np.cos(turn)
+                about_axis[..., second, first] = np.sin(turn)
+                about_axis[..., first, second] = -np.sin(turn)
+                rotation = rotation @ about_axis
             # R[2, 0] = -sin(pitch); R[2, 1:] = cos(pitch) (sin, cos)(roll);
             # R[:2, 0] = cos(pitch) (cos, sin)(heading)
             x, y, z = (
@@ -242,14 +249,3 @@ def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floa
 def wrapped(angle: Floats) -> Floats:
     # Return angles within -180 and 180; angles in that range keep their bits.
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
-
-
-def _turn(axis: int, angle: Floats) -> Floats:
-    # Rotations about one axis, shape (..., 3, 3).
-    rotations = np.zeros((*angle.shape, 3, 3))
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    rotations[..., axis, axis] = 1.0
-    rotations[..., first, first] = rotations[..., second, second] = np.cos(angle)
-    rotations[..., second, first] = np.sin(angle)
-    rotations[..., first, second] = -np.sin(angle)
-    return rotations

@@ -930,6 +930,8 @@ def _identity(variable: xr.Variable) -> str | None:
     if is_dask_collection(variable):
         return str(tokenize(variable.data.name, variable.dims, variable.shape))
     # without dask, xarray opens a scalar of a store lazily
-    if variable.nbytes > MAX_HASHED_BYTES or (variable.ndim and not variable._in_memory):
-        return None
-    return str(tokenize(variable.dims, variable.values))
+    return (
+        None
+        if variable.nbytes > MAX_HASHED_BYTES or (variable.ndim and not variable._in_memory)
+        else str(tokenize(variable.dims, variable.values))
+    )

@@ -404,23 +404,13 @@ def draw_pixels(
     for axes, cube in zip(plots, cubes.values(), strict=True):
         for number, (along, across) in enumerate(places.tolist()):
             nm, values = wavelength + shift[:, across], np.where(is_good, cube[number], np.nan)
-            label = pixel_label(along, across, 0 if quality is None else int(quality[number]))
+            bits = 0 if quality is None else int(quality[number])
+            flags = ", ".join(flag_names(bits)).replace("_", " ")
+            label = f"({along}, {across})" + (f": {flags}" if flags else "")
             if u is not None:
                 lower, upper = values - u[number], values + u[number]
                 axes.fill_between(nm, lower, upper, color=styles[number]["color"], alpha=0.25, lw=0)
             draw_curve(axes, nm, values, styles[number], label)
-
-
-def pixel_label(along: int, across: int, bits: int) -> str:
-    """Return the position of a pixel and its flags as text.
-
-    Examples
-    --------
-    >>> pixel_label(3, 4, Quality.GLINT | Quality.LOW_SUN)
-    '(3, 4): low sun, glint'
-    """
-    flags = ", ".join(flag_names(bits)).replace("_", " ")
-    return f"({along}, {across})" + (f": {flags}" if flags else "")
 
 
 # --- paint libraries -----------------------------------------------------------------------------------
@@ -889,11 +879,11 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
         return
     series = require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
     moments = series.coords.get(IRRADIANCE_TIME)
-    if moments is None or not moments.size or moments.dtype.kind != "M":
-        raise SchemaError(
-            "a picture of irradiance needs the coordinate irradiance_time with at least one time",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        moments is None or not moments.size or moments.dtype.kind != "M",
+        "a picture of irradiance needs the coordinate irradiance_time with at least one time",
+        code="variable-missing",
+    )
     series = series.compute()
     start = series[IRRADIANCE_TIME].values[0]
     seconds = (series[IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
@@ -1032,7 +1022,31 @@ def flag_overlay(
     show_picture(axes, background(dataset, step), orientation)
     axes.set(title=label_for(dataset.attrs.get("name", "flight line")))
     if layer is not None:
-        _draw_layer(axes, dataset, orientation, layer, step, opacity)
+        # draw a layer that is transparent at zero and has full opacity from a third of its range
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        array = dataset[layer].transpose(ALONG_TRACK, CROSS_TRACK)
+        values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
+        finite = values[np.isfinite(values)]
+        minimum, maximum = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
+        is_signed = (
+            -minimum > 0.05 * max(maximum, 0.0) and minimum < 0
+        )  # values slightly below zero are noise
+        limit = max(abs(minimum), abs(maximum)) if is_signed else maximum
+        limit = limit if limit > 0 else 1.0
+        colours = ScalarMappable(
+            Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
+        )
+        image = show_picture(
+            axes, np.ma.masked_invalid(values), orientation, cmap=colours.cmap, norm=colours.norm
+        )
+        magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
+        image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
+        units = str(array.attrs.get("units", ""))
+        caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
+        options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
+        axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
     if layer is None or chosen:
         _draw_flags(axes, dataset, orientation, chosen, step, opacity)
     return save_figure(axes.figure, path)
@@ -1103,34 +1117,6 @@ def reduced_lines(values: Array, step: int, combine: Any) -> Array:
     # Combine every ``step`` lines into one by the ufunc ``combine``
     starts = np.arange(0, len(values), step)
     return values if step == 1 else np.asarray(combine.reduceat(values, starts, axis=0))
-
-
-def _draw_layer(
-    axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
-) -> None:
-    # draw a layer that is transparent at zero and has full opacity from a third of its range
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    array = dataset[layer].transpose(ALONG_TRACK, CROSS_TRACK)
-    values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
-    finite = values[np.isfinite(values)]
-    minimum, maximum = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
-    is_signed = -minimum > 0.05 * max(maximum, 0.0) and minimum < 0  # values slightly below zero are noise
-    limit = max(abs(minimum), abs(maximum)) if is_signed else maximum
-    limit = limit if limit > 0 else 1.0
-    colours = ScalarMappable(
-        Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
-    )
-    image = show_picture(
-        axes, np.ma.masked_invalid(values), orientation, cmap=colours.cmap, norm=colours.norm
-    )
-    magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
-    image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
-    units = str(array.attrs.get("units", ""))
-    caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
-    options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
-    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
 
 
 # --- scenes above the spectra of their cars ----------------------------------------------------------------
@@ -1306,7 +1292,25 @@ def adjacency_figure(
     lines = {"": line} if without is None else {"": line, "without": rename_to_roles(without)}
     regions = _checked_regions(lines, near, far, width)
     places = pixels_of(regions, line)
-    route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
+    # pixels (step, width, 2) from the centre of the near region to that of the far one, and distances [pixel]
+    start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
+    length = float(np.hypot(*(stop - start)))
+    SchemaError.raise_if(
+        length < 1.0,
+        "adjacency cannot be drawn: both regions have the same centre",
+        mend="choose regions at different distances from the neighbour",
+        code="region-overlap",
+    )
+    direction = (stop - start) / length
+    distance = np.arange(int(length) + 1, dtype=np.float64)
+    offset = np.arange(width) - (width - 1) / 2
+    positions = (
+        start
+        + distance[:, None, None] * direction
+        + offset[None, :, None] * np.array([-direction[1], direction[0]])
+    )
+    last = (line.sizes[ALONG_TRACK] - 1, line.sizes[CROSS_TRACK] - 1)
+    route = np.clip(np.floor(positions + 0.5).astype(np.intp), 0, last)
     nm = variables["wavelength"].values
     order = np.argsort(nm, kind="stable")
     plots = (
@@ -1326,10 +1330,10 @@ def adjacency_figure(
         axes.plot(*outline, color="white", linewidth=3.0)
         axes.plot(*outline, color=colour, linewidth=1.5)
     rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
-    start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
+    tail, head = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
     for thickness, colour in ((3.0, "white"), (1.2, "black")):
         axes.annotate(
-            "", stop, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": thickness}
+            "", head, tail, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": thickness}
         )
     transects = {}
     for name, dataset in lines.items():
@@ -1410,27 +1414,6 @@ def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: i
     )
     problems.raise_if_any()
     return pair
-
-
-def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tuple[Array, Array]:
-    # pixels (step, width, 2) from the centre of the near region to that of the far one, and distances [pixel]
-    start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
-    length = float(np.hypot(*(stop - start)))
-    SchemaError.raise_if(
-        length < 1.0,
-        "adjacency cannot be drawn: both regions have the same centre",
-        mend="choose regions at different distances from the neighbour",
-        code="region-overlap",
-    )
-    direction = (stop - start) / length
-    distance = np.arange(int(length) + 1, dtype=np.float64)
-    offset = np.arange(width) - (width - 1) / 2
-    positions = (
-        start
-        + distance[:, None, None] * direction
-        + offset[None, :, None] * np.array([-direction[1], direction[0]])
-    )
-    return np.clip(np.floor(positions + 0.5).astype(np.intp), 0, (lines - 1, columns - 1)), distance
 
 
 def _spectra_at(cube: xr.DataArray, along: Array, across: Array) -> Array:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -37,17 +38,19 @@ from .pipeline import run
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _DEMONSTRATION_FILES = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 
-#: Compared wavelengths; outside, the responsivity is too low for accurate reflectance.
-BANDS_NM = (420.0, 980.0)
-#: Window of the oxygen A band, where errors of wavelength are largest.
-OXYGEN_NM = (750.0, 780.0)
+GOALS = SimpleNamespace(
+    #: Compared wavelengths; outside, the responsivity is too low for accurate reflectance.
+    bands_nm=(420.0, 980.0),
+    #: Window of the oxygen A band, where errors of wavelength are largest.
+    oxygen_nm=(750.0, 780.0),
+    #: Tolerance of the mean error over pixels and bands of a material [1].
+    max_bias=0.002,
+    #: Tolerance of the RMS error of all single samples, with sensor noise [1].
+    max_rmse=0.005,
+    #: Tolerance of the relative error of the scene's mean spectrum in the oxygen window [1].
+    max_oxygen=0.002,
+)
 
-#: Tolerance of the mean error over pixels and bands of a material [1].
-MAX_BIAS = 0.002
-#: Tolerance of the RMS error of all single samples, with sensor noise [1].
-MAX_RMSE = 0.005
-#: Tolerance of the relative error of the scene's mean spectrum in the oxygen window [1].
-MAX_OXYGEN = 0.002
 
 #: Effects of a real collect in the demonstration, besides noise and a clock that is 37.25 s slow. The sun is
 #: 45 degrees from the zenith: nearer to it, the level of metallic paints depends on the lean of a roof.
@@ -107,11 +110,17 @@ class Comparison:
         rmse, oxygen = self.overall.rmse, self.overall.oxygen
         checks = (
             *(
-                (abs(row.bias) < MAX_BIAS, f"{row.material}: bias {row.bias:+.4f}, tolerance {MAX_BIAS}")
+                (
+                    abs(row.bias) < GOALS.max_bias,
+                    f"{row.material}: bias {row.bias:+.4f}, tolerance {GOALS.max_bias}",
+                )
                 for row in (*self.materials, self.overall)
             ),
-            (rmse < MAX_RMSE, f"all pixels: RMSE {rmse:.4f}, tolerance {MAX_RMSE}"),
-            (oxygen < MAX_OXYGEN, f"all pixels: oxygen window {oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}"),
+            (rmse < GOALS.max_rmse, f"all pixels: RMSE {rmse:.4f}, tolerance {GOALS.max_rmse}"),
+            (
+                oxygen < GOALS.max_oxygen,
+                f"all pixels: oxygen window {oxygen:.2%}, tolerance {GOALS.max_oxygen:.1%}",
+            ),
         )
         return tuple(text for holds, text in checks if not holds)
 
@@ -153,7 +162,7 @@ def compare(store: Path, truth: Path) -> Comparison:
     for name in lines_of_store(store):
         line = xr.open_zarr(store, group=f"{LINES}{name}")
         nm, frames = line["wavelength"].values, line["frame"].values
-        is_used = line["good"].values & (nm >= BANDS_NM[0]) & (nm <= BANDS_NM[1])
+        is_used = line["good"].values & (nm >= GOALS.bands_nm[0]) & (nm <= GOALS.bands_nm[1])
         for start in range(0, frames.size, CHUNK_LINES):
             lines, order = slice(start, start + CHUNK_LINES), (ALONG_TRACK, CROSS_TRACK, ...)
             slab = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines, BAND: is_used}).compute()
@@ -181,7 +190,7 @@ def compare(store: Path, truth: Path) -> Comparison:
         slab, f"{store} holds no flight line to compare", code="flightline-missing"
     )
     wavelength, counts = slab["wavelength"].values, sums[0].max(axis=1)
-    window = (wavelength >= OXYGEN_NM[0]) & (wavelength <= OXYGEN_NM[1])
+    window = (wavelength >= GOALS.oxygen_nm[0]) & (wavelength <= GOALS.oxygen_nm[1])
 
     def agreement(name: str, rows: list[int]) -> Agreement:
         count, true, error, squared = sums[:, rows].sum(axis=1)
@@ -357,11 +366,13 @@ def run_demonstration(
         comparison = replace(comparison, field=found)
         say(f"\n{field_table(found)}\n\n{_FIELD_LEGEND}")
     say(f"\nclosure with the simulator's own pixels:\n{comparison}")
-    say(f"\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
+    say(f"\n{_LEGEND.format(*GOALS.bands_nm, *GOALS.oxygen_nm, 100 * comparison.flagged)}")
     overall = comparison.overall
     say(
-        f"closure: bias {round(overall.bias, 5) + 0.0:+.5f} (tolerance {MAX_BIAS}, for each material too), "
-        f"RMSE {overall.rmse:.5f} ({MAX_RMSE}), O2 window {overall.oxygen:.2%} ({MAX_OXYGEN:.1%}): "
+        f"closure: bias {round(overall.bias, 5) + 0.0:+.5f} (tolerance {GOALS.max_bias}, "
+        "for each material too), "
+        f"RMSE {overall.rmse:.5f} ({GOALS.max_rmse}), "
+        f"O2 window {overall.oxygen:.2%} ({GOALS.max_oxygen:.1%}): "
         + ("within tolerance" if comparison.ok else "OUTSIDE TOLERANCE")
     )
     for problem in comparison.problems:

@@ -544,11 +544,22 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     if files.irradiance:
         patterns = [_without_controls(relative(pattern)) for pattern in files.irradiance]
         note = "logging PC minus UTC [h], such as -5: no file states it"
+        # the offset is 0 if the record covers the flight without one, else to be filled in
+        offsets = files.clock_offsets_s
+        clock_offset: float | str = UNKNOWN
+        if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
+            clock_offset = 0.0
+            clock_note = "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
+        elif offsets[0] > offsets[1]:
+            clock_note = "the record is shorter than the flight: files are missing"
+        else:
+            span = f"{offsets[0]:.0f} to {offsets[1]:.0f} s"
+            clock_note = f"added to the clock of the logging PC: the record covers the flight with {span}"
         irradiance = [
             key("irradiance", "files", patterns[0] if len(patterns) == 1 else patterns),
             key("irradiance", "quantity", "irradiance"),
             *([key("irradiance", "utc_offset_h", UNKNOWN, note)] if files.utc_offset_h is None else []),
-            key("irradiance", "clock_offset_s", *_clock_offset(files.clock_offsets_s)),
+            key("irradiance", "clock_offset_s", clock_offset, clock_note),
             key("irradiance", "fwhm_nm"),
             key("irradiance", "mount"),
             *("", "[alignment]", key("alignment", "apply", "auto")),
@@ -627,16 +638,6 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
 
 def _ms(seconds: float | None) -> float | None:
     return None if seconds is None else float(f"{1e3 * seconds:.9g}")
-
-
-def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:
-    # the offset is 0 if the record covers the flight without one, else to be filled in
-    if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
-        return 0.0, "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
-    if offsets[0] > offsets[1]:
-        return UNKNOWN, "the record is shorter than the flight: files are missing"
-    span = f"{offsets[0]:.0f} to {offsets[1]:.0f} s"
-    return UNKNOWN, f"added to the clock of the logging PC: the record covers the flight with {span}"
 
 
 def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Iterator[tuple[FlightCube, str]]:

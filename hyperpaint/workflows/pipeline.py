@@ -510,24 +510,6 @@ MANY_FLAGGED = 0.2
 _LINES_A_READ = 4096
 
 
-def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
-    # Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have.
-    import zarr
-
-    for name in (name for name in lines if (store / name / "quality").exists()):
-        quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
-        shares: Counter[str] = Counter()
-        for start in range(0, quality.shape[0], _LINES_A_READ):
-            # every scene has shadows and edges
-            values = np.asarray(quality[start : start + _LINES_A_READ]) & ~np.uint16(flags_set_from("scene"))
-            part = values.size / quality.size
-            shares.update({str(flag.name): part * share for flag, share in flag_shares(values).items()})
-        if flags := [f"{100 * n:.0f} % {flag.lower()}" for flag, n in shares.items() if n > MANY_FLAGGED]:
-            message = f"{name}: many pixels are flagged: {', '.join(flags)}"
-            mend = "check these flags before using values"
-            warn_user(f"{message}; {mend}", "pixels-flagged")
-
-
 # --- where it is computed ---
 
 
@@ -761,7 +743,23 @@ def run(
             codec=codec,
             client=client,
         )
-    warn_of_flags(out, [name for name, line in aligned.items() if ALONG_TRACK in line.dims])
+    import zarr
+
+    # warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have
+    line_names = (name for name, line in aligned.items() if ALONG_TRACK in line.dims)
+    for name in (name for name in line_names if (out / name / "quality").exists()):
+        quality = zarr.open_array(out / name / "quality", mode="r", zarr_format=3)
+        shares: Counter[str] = Counter()
+        for start in range(0, quality.shape[0], _LINES_A_READ):
+            # every scene has shadows and edges
+            values = np.asarray(quality[start : start + _LINES_A_READ]) & ~np.uint16(flags_set_from("scene"))
+            part = values.size / quality.size
+            shares.update({str(flag.name): part * share for flag, share in flag_shares(values).items()})
+        if marked := [f"{100 * n:.0f} % {flag.lower()}" for flag, n in shares.items() if n > MANY_FLAGGED]:
+            message = (
+                f"{name}: many pixels are flagged: {', '.join(marked)}; check these flags before using values"
+            )
+            warn_user(message, "pixels-flagged")
     return dataclasses.replace(outcome, corrected=corrections_of(aligned))
 
 
