@@ -1,12 +1,10 @@
 """Names of earlier versions and their replacements, so that old files and datasets still open."""
 
-import functools
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import TypeVar
 
 import xarray as xr
 
-from .errors import SchemaError, warn_user
+from .errors import warn_user
 
 #: Dimension of a paint library: `paint` until 0.2, a name that the accessor shadows. A property of regions
 #: called `signature` becomes `paint`, which is then free.
@@ -75,39 +73,3 @@ def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
         return True
     name = library.coords.get(_OLD_DIM)  # as .isel(paint=0) leaves it
     return name is not None and name.ndim == 0 and name.dtype.kind in "OUT" and (_BAND,) in shapes
-
-
-# --- keyword arguments that have been renamed --------------------------------------------------------------
-
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that refuses an old keyword argument and names the new one (`SchemaError`).
-
-    Examples
-    --------
-    >>> @renamed(colour="paint")
-    ... def draw(paint):
-    ...     return paint
-    >>> draw(colour="red")
-    Traceback (most recent call last):
-    hyperpaint.base.errors.SchemaError: draw(colour=) is now draw(paint=); pass paint= [keyword-renamed]
-    """
-
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        @functools.wraps(function)
-        def call(*args: P.args, **keywords: P.kwargs) -> R:
-            for old, new in names.items():
-                if old in keywords:
-                    name = function.__name__
-                    raise SchemaError(
-                        f"{name}({old}=) is now {name}({new}=)", mend=f"pass {new}=", code="keyword-renamed"
-                    )
-            return function(*args, **keywords)
-
-        return call
-
-    return decorate

@@ -36,7 +36,6 @@ from hyperpaint.base import (
     is_plain_file,
     needs_extra,
     rename_to_roles,
-    renamed,
     schema,
 )
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -73,15 +72,17 @@ TRUE_COLOUR: tuple[float, ...] = ()
 INFRARED = (860.0, 650.0, 550.0)
 
 DETAIL_LINES = 1536  # maximum number of lines that a picture reads completely; more are subsampled
-_SPARSE_LINES = 48  # number of lines of a subsampled picture
+_VIEW = SimpleNamespace(
+    sparse_lines=48,  # number of lines of a subsampled picture
+    visible_bands=24,  # bands read for a detailed true-colour picture: colour matching functions are smooth
+    max_uncertainty_pixels=4096,  # maximum size of a region whose uncertainty is computed on a click
+    flag_opacity=170,  # of 255
+    max_near_factor=2.0,  # factor of brightness up to which a paint is near
+)
 SPARSE_STEP = 64  # step [lines] from which `pixels` reads single chunks
-_VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour matching functions are smooth
 MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
-_MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
 _CUBES = {"counts", "radiance", "reflectance", "values"}  # "values": quantity unknown
-_FLAG_OPACITY = 170  # of 255
 MAX_NEAR_ANGLE = 5.0  # spectral angle up to which a paint of the library is near [degree]
-MAX_NEAR_FACTOR = 2.0  # factor of brightness up to which a paint is near
 _RECIPES = {"true colour": TRUE_COLOUR, "colour infrared": INFRARED}
 
 
@@ -342,9 +343,9 @@ class Explored:
             self._region_pixels(place) if isinstance(place, Region) else (*np.array(place).reshape(2, 1), 1)
         )
         SchemaError.raise_if(
-            along.size > _MAX_UNCERTAINTY_PIXELS or step > 1,
+            along.size > _VIEW.max_uncertainty_pixels or step > 1,
             f"{along.size} pixels",
-            expected=f"at most {_MAX_UNCERTAINTY_PIXELS}",
+            expected=f"at most {_VIEW.max_uncertainty_pixels}",
             mend="see line.paint.signatures",
             code="region-too-large",
         )
@@ -393,7 +394,7 @@ class Explored:
             power = max(paint[is_common] @ paint[is_common], np.finfo(float).tiny)
             factor = float((resampled[is_common] @ paint[is_common]) / power)
             name = str(matches[schema.SIGNATURE].values[number])
-            if np.isfinite(angle) and 1.0 / MAX_NEAR_FACTOR <= factor <= MAX_NEAR_FACTOR:
+            if np.isfinite(angle) and 1.0 / _VIEW.max_near_factor <= factor <= _VIEW.max_near_factor:
                 near_paints.append(
                     NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint)
                 )
@@ -449,7 +450,7 @@ class Explored:
 
     @staticmethod
     def _line_step(lines: int) -> int:
-        return max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
+        return max(SPARSE_STEP, -(-lines // _VIEW.sparse_lines)) if lines > DETAIL_LINES else 1
 
     @functools.cached_property
     def _means(self) -> xr.Dataset | None:
@@ -465,7 +466,7 @@ class Explored:
             values = self._bands(lines, recipe)
             return np.broadcast_to(values, (*values.shape[:2], 3))
         visible = visible_bands(self.wavelength)
-        nm = np.sort(self.wavelength[visible[:: max(1, visible.size // _VISIBLE_BANDS)]])
+        nm = np.sort(self.wavelength[visible[:: max(1, visible.size // _VIEW.visible_bands)]])
         values = self._bands(lines, nm).swapaxes(1, 2)
         linear = linear_srgb(values, weights=srgb_weights(nm, None))
         linear[np.isnan(values).all(axis=1)] = np.nan
@@ -523,7 +524,7 @@ class Explored:
         if self._quality is not None:
             bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
             for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
-                colours[(bits.T & int(flag)) != 0] = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
+                colours[(bits.T & int(flag)) != 0] = (*bytes.fromhex(flag.colour[1:]), _VIEW.flag_opacity)
         return Picture(colours.view(np.uint32)[..., 0], first, first + rows * step, "")
 
 
@@ -1217,7 +1218,8 @@ class Explorer:
         self._widgets.paints.object = (
             "<b>Nearest paints</b>: spectral angle, and scale factor"
             if near_paints
-            else f"<b>No paint is near</b>: within {MAX_NEAR_ANGLE:g}° and a factor of {MAX_NEAR_FACTOR:g}"
+            else f"<b>No paint is near</b>: within {MAX_NEAR_ANGLE:g}° and "
+            f"a factor of {_VIEW.max_near_factor:g}"
             if self._state.is_reflectance and self._state.library is not None
             else ""
         )
@@ -1371,7 +1373,6 @@ def require_panel() -> None:
             __import__(package)
 
 
-@renamed(group="line")
 def serve_explorer(
     store: str | os.PathLike[str],
     line: str | None = None,

@@ -46,7 +46,6 @@ from hyperpaint.base import (
     part_of,
     read_limited,
     rename_to_roles,
-    renamed,
     schema,
     warn_if,
     with_new_names,
@@ -108,7 +107,6 @@ class Written:
     problems: tuple[str, ...]  #: Unreadable parts of the store; the page lists them too.
 
 
-@renamed(signatures="library", lines="max_lines")
 @documented(library="library page")
 def write_report(
     store: str | os.PathLike[str],
@@ -852,7 +850,6 @@ _SHOWN_VARIABLES = (
 )
 
 
-@renamed(signatures="library", lines="max_lines")
 @documented(library="library page", overwrite="own overwrite", progress="progress bar")
 def write_site(
     store: str | os.PathLike[str],
@@ -926,7 +923,17 @@ def write_site(
         mend="leave out link or library",
         code="option-conflict",
     )
-    origin = "" if link is None else _remote_origin(link)
+    # the web origin that the page reads from; empty for a path relative to the page
+    address = urlsplit("page" if link is None else link)
+    is_relative = not address.scheme and not address.netloc and bool(address.path)
+    origin = "" if is_relative else f"{address.scheme}://{address.netloc}"
+    SchemaError.raise_if(
+        not is_relative
+        and (address.scheme not in ("http", "https") or not _ORIGIN.fullmatch(address.netloc)),
+        f"link={link!r:.200}",
+        expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
+        code="link-invalid",
+    )
     folder = Path(out)
     StoreError.raise_if(
         Path(store).resolve() in (folder.resolve(), *folder.resolve().parents),
@@ -1055,20 +1062,6 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
         geometry["mirrored"] = orientation.is_mirrored
         picture = flown_right(picture, orientation)
     return np.ascontiguousarray(picture), geometry
-
-
-def _remote_origin(link: str) -> str:
-    # the web origin that the page reads from; empty for a path relative to the page
-    address = urlsplit(link)
-    if not address.scheme and not address.netloc and address.path:
-        return ""
-    SchemaError.raise_if(
-        address.scheme not in ("http", "https") or not _ORIGIN.fullmatch(address.netloc),
-        f"link={link!r:.200}",
-        expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
-        code="link-invalid",
-    )
-    return f"{address.scheme}://{address.netloc}"
 
 
 def _foreign(folder: Path) -> str:

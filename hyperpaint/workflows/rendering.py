@@ -75,7 +75,6 @@ from hyperpaint.base import (
     input_path,
     open_input,
     read_limited,
-    renamed,
     round_bits,
     shown,
     warn_user,
@@ -607,9 +606,11 @@ def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
     # `StoreError`: A Zarr store is unfinished or invalid.
     if path.suffix.lower() == ".mat":
         return _dirsig_paints(path)
-    if path.is_dir() and (path / _DIRSIG_MARKER).is_file() and (path / _MATERIALS).is_file():
-        return _dirsig_paints(path / _MATERIALS)
-    return open_library(path)
+    return (
+        _dirsig_paints(path / _MATERIALS)
+        if path.is_dir() and (path / _DIRSIG_MARKER).is_file() and (path / _MATERIALS).is_file()
+        else open_library(path)
+    )
 
 
 def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
@@ -1021,7 +1022,6 @@ MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 CLUSTER_LINES = 64
 
 
-@renamed(paints="library")
 @documented(overwrite="group overwrite", progress="stderr progress")
 def render_scene(
     path: str | Path,
@@ -1220,9 +1220,11 @@ def run(
             return _renders(open_group(out, TRANSPORT), file, parts, [name.removeprefix(RENDERS)])[name]
 
         def announced(name: str) -> str:
-            if name == TRANSPORT:
-                return f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
-            return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+            return (
+                f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
+                if name == TRANSPORT
+                else f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+            )
 
         return write_groups(
             out,
@@ -1366,7 +1368,44 @@ def export_dirsig_scene(
     libraries = [] if library is None else [library]
     if library is not None:
         repaint = painted_cars(parts.scene, list(map(str, library["signature"].values)), repaint)
-    libraries += [*named_libraries(parts.spectra), _spectra_library(parts, repaint)]
+    flakes = {
+        material.spectrum: material.flakes
+        for material in parts.scene.materials
+        if material.flakes is not None
+    }
+    names = [material.spectrum for material in parts.scene.materials] + list(repaint.values())
+    spectra: dict[str, Floats] = {}
+    for name in dict.fromkeys(names):
+        file_spectrum: Any = parts.spectra.get(name)
+        if file_spectrum is not None and not hasattr(file_spectrum, "data_vars"):
+            wavelength, values = file_spectrum
+            spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
+            continue
+        try:
+            body = spectrum_of(name)(_GRID_NM)
+        except SchemaError:
+            continue  # a paint of the library; the writer reports unknown names
+        flake = flakes.get(name)
+        if flake is not None:
+            body = (1.0 - flake.share) * body + flake.share * spectrum_of(flake.spectrum)(_GRID_NM)
+        spectra[name] = body
+    reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
+    libraries += [
+        *named_libraries(parts.spectra),
+        xr.Dataset(
+            {
+                "reflectance": (
+                    ("signature", "band"),
+                    reflectance,
+                    {"units": "1", "mirror_reflection": EXCLUDED},
+                )
+            },
+            {
+                "signature": np.array(list(spectra), object),
+                "wavelength": ("band", _GRID_NM, {"units": "nm"}),
+            },
+        ),
+    ]
     bands = BandSet.of(parts.camera.imager)
     half = 0.5 * np.broadcast_to(bands.fwhm, bands.wavelength.shape)
     wavelengths = float((bands.wavelength - half).min()), float((bands.wavelength + half).max())
@@ -1432,38 +1471,3 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
             if len(names) == 1:
                 libraries.append(value.assign_coords(signature=[key]))
     return libraries
-
-
-def _spectra_library(parts: RenderParts, repaint: Mapping[str, str]) -> xr.Dataset:
-    # spectra of the file and built-in spectra as a library; DIRSIG has no flakes, so that the reflectance of
-    # a paint with flakes is the sum of pigment and flakes
-
-    flakes = {
-        material.spectrum: material.flakes
-        for material in parts.scene.materials
-        if material.flakes is not None
-    }
-    names = [material.spectrum for material in parts.scene.materials] + list(repaint.values())
-    spectra: dict[str, Floats] = {}
-    for name in dict.fromkeys(names):
-        file_spectrum: Any = parts.spectra.get(name)
-        if file_spectrum is not None and not hasattr(file_spectrum, "data_vars"):
-            wavelength, values = file_spectrum
-            spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
-            continue
-        try:
-            body = spectrum_of(name)(_GRID_NM)
-        except SchemaError:
-            continue  # a paint of the library; the writer reports unknown names
-        flake = flakes.get(name)
-        if flake is not None:
-            body = (1.0 - flake.share) * body + flake.share * spectrum_of(flake.spectrum)(_GRID_NM)
-        spectra[name] = body
-    reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
-    return xr.Dataset(
-        {"reflectance": (("signature", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
-        {
-            "signature": np.array(list(spectra), object),
-            "wavelength": ("band", _GRID_NM, {"units": "nm"}),
-        },
-    )

@@ -18,13 +18,11 @@ from click.shell_completion import ShellComplete
 from support.commands import hyperpaint
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import PARAMETERS
 from hyperpaint.cli.options import Settings, parameters_of
 from hyperpaint.cli.program import GROUPS, main
 from hyperpaint.io.store import open_group, to_store
 from hyperpaint.io.store.writer import WholeRun
-from hyperpaint.pictures.exploring import serve_explorer
 from hyperpaint.report.summaries import with_times
 from hyperpaint.simulation import simulate_line
 from hyperpaint.workflows import pipeline
@@ -154,18 +152,6 @@ def test_words_are_completed() -> None:
     complete = ShellComplete(main, {}, "hyperpaint", "_HYPERPAINT_COMPLETE")
     assert [item.value for item in complete.get_completions([], "sig")] == ["signatures"]
     assert "--false-alarm-rate" in [item.value for item in complete.get_completions(["detect"], "--f")]
-
-
-def test_a_renamed_keyword_names_the_new_one() -> None:
-    with pytest.raises(SchemaError, match=r"library= .keyword"):
-        hp.render_scene("scene.toml", "scene.zarr", paints="paints.zarr")  # type: ignore[call-arg]
-    with pytest.raises(SchemaError, match=r"line= .keyword"):
-        serve_explorer("lot.zarr", group="raw_0", announce=print)  # type: ignore[call-arg]
-    for function in (hp.report.write_report, hp.report.write_site):
-        with pytest.raises(SchemaError, match=r"library= .keyword"):
-            function("lot.zarr", "page", signatures="paints.zarr")  # type: ignore[call-arg]
-        with pytest.raises(SchemaError, match=r"max_lines= .keyword"):
-            function("lot.zarr", "page", lines=100)  # type: ignore[call-arg]
 
 
 # --- Ctrl-C and SIGTERM: one line, a status that says which, and a store that the same command completes ---
