@@ -449,11 +449,22 @@ boresight, ground, clock_offset and column_order first. The signs of angles are 
     grid={"help": "North up, or rows across the flight: a smaller file."},
     method={"help": "Unchanged spectra, or interpolated ones."},
 )
+@click.option(
+    "--flags/--no-flags",
+    default=None,
+    help="Flag an unflagged line first, so that signatures of the map leave out glint and shadow.  "
+    "[default: for map.zarr, where the light is known]",
+)
 @takes("workflows.maps:location_of", only=["ground", "dem"])
 @settable({"workflows.maps:location_of": []}, without=["flightline", "ground", "dem"])
 @takes("workflows.maps:write_map", only=["stac", "geozarr", "overwrite"])
 def make_map(
-    store: Path, line: str | None, out: Path | None, settings: dict[str, Any], **options: Any
+    store: Path,
+    line: str | None,
+    out: Path | None,
+    flags: bool | None,
+    settings: dict[str, Any],
+    **options: Any,
 ) -> None:
     """Resample a flight line to a map of square cells, by the position and attitude of its lines.
 
@@ -469,7 +480,8 @@ def make_map(
     _check_map(store, out)
     arguments = {**settings, **without_none(options)}
     with progress_bar("locating") as progress:
-        orthomap = workflows.maps.map_of_store(store, line, progress=progress, **arguments)
+        flags = False if flags is None and out.suffix.lower() != ".zarr" else flags
+        orthomap = workflows.maps.map_of_store(store, line, flags=flags, progress=progress, **arguments)
     notes = workflows.maps.write_map(orthomap, out, progress=is_watched(), **map_options)
     facts = [_cells(orthomap), describe_swath(orthomap.attrs), notes]
     click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
@@ -676,8 +688,8 @@ def make_signatures(
         )
     if flags and library.attrs["flags"] == workflows.field_day.NOT_DETECTED:
         click.echo(
-            "glint, shadow and light of neighbours are not flagged on a map; signatures from the store of "
-            "the flight line exclude them",
+            "glint, shadow and light of neighbours are not flagged on this map; signatures from the store of "
+            "the flight line exclude them, and from maps of hyperpaint orthorectify --flags",
             err=True,
         )
     for text in library.attrs.get("left_out", ()):

@@ -1,5 +1,6 @@
 """Maps and mosaics of the flight lines of a store, and their files."""
 
+import contextlib
 import inspect
 import json
 import math
@@ -10,7 +11,7 @@ from typing import Any, Literal
 
 import xarray as xr
 
-from hyperpaint.base import Convention, SchemaError
+from hyperpaint.base import Convention, PaintError, Progress, SchemaError, part_of
 from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
@@ -27,6 +28,8 @@ from hyperpaint.io.maps.map_grids import (
     with_own_transform,
 )
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
+from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.surroundings.surveying import flag_line, is_flagged
 
 #: Prefix of the groups of flight lines.
 LINES = "flightlines/"
@@ -37,16 +40,30 @@ def lines_of_store(store: str | os.PathLike[str]) -> list[str]:
     return [group.removeprefix(LINES) for group in list_groups(store) if group.startswith(LINES)]
 
 
-def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
+def map_of_store(
+    store: Path,
+    line: str | None,
+    *,
+    flags: bool | None = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> xr.Dataset:
     # Return the map of a flight line of a store, lazily.
     #
-    # ``options`` are those of `location_of`, and of `hyperpaint.geometry.orthorectify`.
+    # ``flags``: whether glint, shadow, light of neighbours and mixed edges of an unflagged line are flagged
+    # first; with None they are where its light is known. ``options`` are those of `location_of`, and of
+    # `hyperpaint.geometry.orthorectify`.
     #
     # Raises `SchemaError` if the store lacks the line, or has several and ``line`` is None; if options are
     # passed for a line that is located; or as `location_of`.
     flightline = line_of_store(store, line)
     location = location_of(flightline, **{name: options.pop(name) for name in LOCATION & set(options)})
-    return orthorectify(flightline, **options, **location)
+    if flags is not False and not is_flagged(flightline):
+        tolerated = () if flags else (PaintError,)
+        with survey_planned(flightline, "the survey of the line"), contextlib.suppress(*tolerated):
+            flightline = flag_line(flightline, progress=part_of(progress, 0, 2)).line
+        progress = part_of(progress, 1, 2)
+    return orthorectify(flightline, progress=progress, **options, **location)
 
 
 def location_of(
