@@ -423,10 +423,12 @@ def _extend(
     # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
     enclosable = best & ~faces_sun & (mixtures.misfit < SHADOWS.max_dim_misfit)
     enclosable &= (mixtures.direct < SHADOWS.max_enclosed_direct) & (mixtures.sky > SHADOWS.min_enclosed_sky)
+    width = scene.size / np.maximum(scene.border, 1.0)
     markings = (
         object_shadows
         & (mixtures.sky > SHADOWS.min_marking_sky)
         & (mixtures.direct < SHADOWS.max_marking_direct)
+        & (width[mixtures.segment] < SHADOWS.max_marking_width * width[mixtures.body])
     )
     clear = _are_clear(mixtures, max_sent=SHADOWS.max_sent_beside)
     for _ in range(SHADOWS.rounds):

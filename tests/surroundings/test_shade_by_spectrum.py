@@ -96,3 +96,18 @@ def test_a_heading_the_wrong_way_round_is_said_and_the_picture_believed() -> Non
     found = (hp.surroundings.flag(line, turned).quality.values & int(Quality.SHADOW)) > 0
     assert (found == ((right & int(Quality.SHADOW)) > 0)).mean() > 0.999
     assert (found & (blocked >= 0.2)).sum() >= 0.99 * (blocked >= 0.2).sum()
+
+
+def test_a_black_roof_beside_a_kerb_is_no_shadow_of_it() -> None:
+    # its coat mirrors the sky: together like a bright kerb under little of the sun and a quarter of the sky
+    diffuse = diffuse_fraction(NM, 40.0)
+    cube = ASPHALT * np.random.default_rng(4).normal(1.0, 0.02, (96, 128, 1))
+    cube[:, 110:114] = 0.36
+    # and not smooth: light in bands of gases differs by 2 %
+    cube[36:50, 40:72] = (0.013 + 0.085 * diffuse) * (1.0 + 0.02 * np.sin(NM / 30.0))
+    cube[50:60, 40:72] = ASPHALT * (0.02 * (1.0 - diffuse) + 0.7 * diffuse)  # shadow of the car
+    cube[60:70, 110:114] = 0.36 * 0.6 * diffuse  # another one, on the kerb
+    found = shadows(cube, sun_zenith=40.0)
+    assert not found[38:48, 43:69].any()
+    assert found[52:58, 43:69].mean() > 0.9
+    assert found[61:69, 111:113].all()
