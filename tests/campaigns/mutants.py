@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 #: Files of the package and tests of every room.
 ROOMS = {
-    "kernels": ("kernels", ["kernels", "radiometry"]),
+    "kernels": ("kernels", ["kernels"]),
     "light": ("light", ["light", "surroundings/test_corrections.py"]),
     "signatures": ("paints/signatures", ["paints"]),
     "store": ("io/store", ["io/store", "workflows/test_pipeline.py"]),

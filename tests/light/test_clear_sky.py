@@ -199,3 +199,14 @@ def test_bands_saturate_and_water_counts() -> None:
         for sun in (0.0, 76.0)
     )
     assert 1.3 * shallow < deep < 3.2 * shallow
+
+
+def test_oxygen_absorbs_in_proportion_to_the_air() -> None:
+    # saturated lines absorb with the root of column times width: both are proportional to the pressure
+    nm = np.arange(740.0, 790.1, 0.1)
+    depths = []
+    for pressure in (70_000.0, 101_325.0):
+        direct, _ = ClearSky(40.0, pressure=pressure).irradiance(nm)
+        smooth = convolve_gaussian(direct[None], nm, np.array([752.0, 761.5, 776.0]), 3.0)[0]
+        depths.append(-np.log(smooth[1] / np.sqrt(smooth[0] * smooth[2])))
+    assert 0.45 < depths[0] / depths[1] < 0.9
