@@ -1573,7 +1573,7 @@ def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> L
         return None
     u, v, logs = u[near], v[near], np.log(brightness[y[near], x[near]])
     terms = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
-    plane, quadric = _fitted_surface(terms[:, :3], logs), _fitted_surface(terms, logs)
+    plane, quadric = fitted_surface(terms[:, :3], logs), fitted_surface(terms, logs)
     independent_px = u.size / LEVELS.clump_px
     gain = independent_px * np.log(plane[1] ** 2 / quadric[1] ** 2)
     fitted, _, fit_sd = quadric if gain > 3.0 * np.log(max(independent_px, 2.0)) else plane
@@ -1584,7 +1584,7 @@ def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> L
     return Level(float(np.exp(fitted[0])), sd, float(change[0]), float(change[1]))
 
 
-def _fitted_surface(design: Floats, logs: Floats) -> tuple[Floats, float, float]:
+def fitted_surface(design: Floats, logs: Floats) -> tuple[Floats, float, float]:
     # Fit of logarithms of brightness (pixel,) with a design matrix (pixel, term): value at the origin, slopes
     # and curvatures (term,); root mean square of the residuals; standard error of the value at the origin [1]
     fitted = np.ones(logs.size, bool)

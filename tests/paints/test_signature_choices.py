@@ -17,6 +17,7 @@ from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.paints.signatures.extraction import change_over_crown
 from hyperpaint.regions import pixels, regions_from
 
 # --- flags, smoothing and refusals -------------------------------------------------------------------------
@@ -424,3 +425,24 @@ def test_broken_clouds_are_not_passed_over() -> None:
     assert float(library.level_uncertainty[0]) > 0.4
     # a proposed region was judged by its light
     assert float(extract_signatures(line, drawn(level_uncertainty=0.02)).level_uncertainty[0]) == 0.02
+
+
+def test_the_crown_of_a_drawn_roof_tells_its_change_with_lean() -> None:
+    # a lobe over a roof of 20 x 60 pixels that is turned in the picture: known slope and curvature across it
+    rng = np.random.default_rng(2)
+    v, u = rng.uniform(-10, 10, 256), rng.uniform(-30, 30, 256)
+    slope, curvature = 0.1, -0.2
+    level = 0.2 * np.exp(slope * v / 10 + curvature * (v / 10) ** 2 + rng.normal(0.0, 0.005, 256))
+    turn = np.radians(30.0)
+    paint = xr.Dataset(
+        {
+            "member_reflectance": (("member", "band"), np.tile(level[:, None], (1, 3)).astype(np.float32)),
+            "member_along_track": ("member", 100.0 + u * np.cos(turn) - v * np.sin(turn)),
+            "member_cross_track": ("member", 200.0 + u * np.sin(turn) + v * np.cos(turn)),
+        }
+    )
+    error, change = change_over_crown(paint, np.ones(3, bool))
+    assert change == pytest.approx(slope / np.radians(12.0), rel=0.1)
+    # mean of the curved surface below its middle, and the level part not quite in the middle
+    assert error == pytest.approx(np.hypot(curvature / 3.0, 0.15 * slope), rel=0.1)
+    assert change_over_crown(paint.isel(member=slice(20)), np.ones(3, bool)) is None

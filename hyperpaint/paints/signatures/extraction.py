@@ -64,7 +64,14 @@ from hyperpaint.radiometry.uncertainty import (
     error_variables,
 )
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.regions.proposals import GAPS, JUDGING, LEANS, change_with_lean
+from hyperpaint.regions.proposals import (
+    GAPS,
+    JUDGING,
+    LEANS,
+    LEVELS as ROOFS,
+    change_with_lean,
+    fitted_surface,
+)
 from hyperpaint.surroundings.corrections import (
     LEVELS,
     NORMAL_REFLECTANCE,
@@ -306,15 +313,41 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
 
 # --- level and quantity of every signature -----------------------------------------------------------------
 
-#: Standard deviation of the brightness of the level part of a region, relative to the difference of its
-#: quartiles [1]: it lies anywhere between them.
-CROWN_SHARE = 1.0 / np.sqrt(12.0)
+DRAWN = SimpleNamespace(
+    #: Standard deviation of the brightness of the level part of a region, relative to the difference of its
+    #: quartiles [1]: it lies anywhere between them.
+    crown_share=1.0 / np.sqrt(12.0),
+    #: Standard deviation of the level part of a drawn roof from its middle [half widths].
+    middle=0.15,
+    #: Uncertainty of the level where a cloud may have covered the sun, relative [1].
+    covered_sun_u=0.5,
+    #: Maximum standard uncertainty of the diffuse fraction under broken clouds with free sun [1].
+    free_sun_u=0.12,
+)
 
-#: Uncertainty of the level where a cloud may have covered the sun, relative [1].
-COVERED_SUN_U = 0.5
 
-#: Maximum standard uncertainty of the diffuse fraction under broken clouds with free sun [1].
-FREE_SUN_U = 0.12
+def change_over_crown(paint: xr.Dataset, good: npt.NDArray[np.bool_]) -> tuple[float, float] | None:
+    # Return the relative uncertainty of a roof's mean as its level, and its change with lean [1/rad].
+    #
+    # The lean grows with the distance from the level part, which is near the middle of a roof: a surface of
+    # second order through the logarithms of the members' brightness gives the difference of mean and middle,
+    # and the slope in the middle over the known curvature of roofs. None with too few members.
+    members = paint["member_reflectance"].values[:, good].mean(axis=1)
+    is_used = members > 0.0  # not NaN
+    if is_used.sum() < ROOFS.min_fitted_px:
+        return None
+    places = np.stack([paint[f"member_{dim}"].values[is_used] for dim in (ALONG_TRACK, CROSS_TRACK)], axis=1)
+    variances, axes = np.linalg.eigh(np.cov(places.T))
+    # half extents of a uniform distribution, across the roof first
+    half = np.sqrt(3.0 * np.maximum(variances, 1.0))
+    v, u = ((places - places.mean(axis=0)) @ axes / half[0]).T
+    design = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
+    terms, _, sd = fitted_surface(design, np.log(members[is_used]).astype(np.float64))
+    offset = float((design @ terms).mean() - terms[0])
+    # lean half a width from the middle, along and across
+    along = min(2.0 * ROOFS.drop * half[0] / half[1], np.radians(ROOFS.max_crown_deg))
+    change = np.hypot(terms[1] / along, terms[2] / np.radians(ROOFS.crown_deg))
+    return float(np.hypot.reduce([offset, DRAWN.middle * np.hypot(*terms[1:3]), sd])), float(change)
 
 
 def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
@@ -323,7 +356,7 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
     # Proposed regions have their own uncertainty of the level. That of others combines noise and dust, the
     # lean, the change over the region, the light of neighbours, and broken clouds; the mirrored sky is in
     # ``reflectance_u_coat``. A mean over the crown of a roof is not its level part: flakes and low suns make
-    # the difference large.
+    # the difference large, which the members of a roof show; of other parts their quartiles bound it.
     good = library["good"].values.astype(bool)
     levels, terms, quantities, clouded = [], [], [], []
     quantity = library["reflectance"].attrs["quantity"]
@@ -348,16 +381,20 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
         spread = float(np.nanmean(np.diff(quartiles.values[:, good], axis=0))) / level
         zenith, lean = float(paint["sun_zenith"]), float(paint["lean"])
         change = change_with_lean(45.0 if np.isnan(zenith) else zenith)
-        if "solid" not in words:  # flakes change by more
+        crown = change_over_crown(paint, good) if "roof" in words else None
+        if crown is None and "solid" not in words:  # flakes change by more
             change = max(change, JUDGING.unseen_change)
+        change = max((1.0 - split) * change, 0.0 if crown is None else crown[1])
         parts = {
             "noise and dust": JUDGING.least_sd,
-            f"an unknown lean of {lean:.1f} degrees": np.radians(lean) * (1.0 - split) * change,
-            "its change over the region, such as over a crown": CROWN_SHARE * spread,
+            f"an unknown lean of {lean:.1f} degrees": np.radians(lean) * change,
+            "its change over the region, such as over a crown": DRAWN.crown_share * spread
+            if crown is None
+            else crown[0],
             "the light of neighbours": JUDGING.mirror_sd / level,
         }
         if int(paint["sky_state"]) == SKY_STATES.index("broken"):
-            parts["broken clouds"] = GAPS.sd if split_u < FREE_SUN_U else COVERED_SUN_U
+            parts["broken clouds"] = GAPS.sd if split_u < DRAWN.free_sun_u else DRAWN.covered_sun_u
             clouded.append(region.name)
         levels.append(float(np.hypot.reduce(list(parts.values()))))
         terms.append({cause: round(float(part), 5) for cause, part in parts.items()})
@@ -368,8 +405,11 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
             "take a line flown between clouds, or a region that propose_regions accepts",
             "clouds-broken",
         )
-    texts = [json.dumps(parts, ensure_ascii=False) if parts else "" for parts in terms]
-    columns = {"level_uncertainty": levels, "level_terms": texts, "quantity": quantities}
+    columns = {
+        "level_uncertainty": levels,
+        "level_terms": [json.dumps(parts, ensure_ascii=False) if parts else "" for parts in terms],
+        "quantity": quantities,
+    }
     return library.assign_coords(
         {
             name: (SIGNATURE, np.array(column, np.float64 if name == "level_uncertainty" else object),
@@ -654,7 +694,9 @@ def extract_signatures(
     -----
     A region that was not proposed has the ``level_uncertainty`` of noise and dust, of a lean (0.9 degrees
     where its ``kind`` is "roof", else 7), of the change over the region, whose mean is not its level part,
-    and of the light of neighbours; the mirrored sky is in ``reflectance_u_coat``.
+    and of the light of neighbours; the mirrored sky is in ``reflectance_u_coat``. Over the crown of a roof
+    both changes are measured: a surface of second order through its members has the difference of mean and
+    middle, and its slope there, over the known curvature of roofs, the change with lean.
 
     The signature of a metallic or pearl paint (by ``finish`` or ``kind`` of its region) holds only for its
     ``aspecular_angle`` under its sun and sky; it is not corrected for the coat, and ``flop`` shows the change
@@ -837,7 +879,7 @@ def extract_signatures(
         library = remove_mirrored_sky(library, strength=strength, diffuse=diffuse, sun_zenith=sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
-    library = with_levels(with_aspecular_geometry(library), remaining)
+    library = with_aspecular_geometry(with_levels(library, remaining))
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 
