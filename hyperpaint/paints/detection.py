@@ -364,9 +364,11 @@ def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, floa
     return float(np.mean(shares)), float(t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds))
 
 
-MAX_OTHER_SPECTRA = 20_000
-#: Number of backgrounds that a task joins.
-BACKGROUNDS_PER_TASK = 16
+BLOCKS = SimpleNamespace(
+    max_other_spectra=20_000,
+    #: Number of backgrounds that a task joins.
+    backgrounds_per_task=16,
+)
 #: Variables of pixels, in the order of `search_block`.
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
 #: Variables of detections to fields of `Detector`.
@@ -627,7 +629,7 @@ def _spectra(
         mend="pass as others= a library that covers these bands, with paints that library= lacks",
         code="other-paints-missing",
     )
-    return paints[:, bands], bands, other_paints[:: -(-len(other_paints) // MAX_OTHER_SPECTRA)]
+    return paints[:, bands], bands, other_paints[:: -(-len(other_paints) // BLOCKS.max_other_spectra)]
 
 
 def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
@@ -689,8 +691,8 @@ def _lazy_detector(
         for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
     ]
     while len(backgrounds) > 1:
-        starts = range(0, len(backgrounds), BACKGROUNDS_PER_TASK)
-        backgrounds = [join(backgrounds[start : start + BACKGROUNDS_PER_TASK]) for start in starts]
+        starts = range(0, len(backgrounds), BLOCKS.backgrounds_per_task)
+        backgrounds = [join(backgrounds[start : start + BLOCKS.backgrounds_per_task]) for start in starts]
     if isinstance(sky, str) and sky == "auto":
         small = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
         sky = dask.delayed(_mirrored_sky)(line[small], bands)

@@ -419,10 +419,12 @@ def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
 #: Distance from the centre of a Gaussian, in full widths, beyond which its area is below 1e-13.
 GAUSSIAN_REACH = 3.2
 
-# columns of a matrix product: for larger products BLAS uses threads, which are slow on a busy machine
-_COLUMNS_AT_ONCE = 16
-_PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
-_DISPERSION = 2.2140  # nm per detector pixel, independent of the number of bands
+_IMAGER = SimpleNamespace(
+    # columns of a matrix product: for larger products BLAS uses threads, which are slow on a busy machine
+    columns_at_once=16,
+    planck_times_light=6.62607015e-34 * 2.99792458e8,
+    dispersion=2.2140,  # nm per detector pixel, independent of the number of bands
+)
 
 
 def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float = 2.5) -> float:
@@ -478,8 +480,10 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
         silicon = (
             0.29 / (1.0 + np.exp((wavelength - 985.0) / 32.0)) / (1.0 + np.exp((375.0 - wavelength) / 30.0))
         )
-        photons = wavelength * 1e-9 / _PLANCK_TIMES_LIGHT
-        return np.asarray((0.04 + 0.93 * blaze) * silicon * photons * _DISPERSION / electrons_per_count)
+        photons = wavelength * 1e-9 / _IMAGER.planck_times_light
+        return np.asarray(
+            (0.04 + 0.93 * blaze) * silicon * photons * _IMAGER.dispersion / electrons_per_count
+        )
 
     return responsivity
 
@@ -531,8 +535,8 @@ class Imager(BandSet):
         for band, centre in enumerate(self.wavelength):
             start, stop = np.searchsorted(grid, (centre - self.whole_reach, centre + self.whole_reach))
             response = self.response(band, grid[start:stop], shifts)
-            for start_column in range(0, len(shifts), _COLUMNS_AT_ONCE):
-                columns = slice(start_column, start_column + _COLUMNS_AT_ONCE)
+            for start_column in range(0, len(shifts), _IMAGER.columns_at_once):
+                columns = slice(start_column, start_column + _IMAGER.columns_at_once)
                 responses[:, columns] = spectra[:, start:stop] @ response[:, columns]
             integrals[:, band] = responses[:, column] * (step * self.element_factor[band])
         return integrals

@@ -352,14 +352,15 @@ class Flight(abc.ABC):
 _BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
 _ROWS = (1.4, 10.9)  # positions across the track at which the two rows of bays begin [m]
 _GRASS_END, _KERB_END = 1.0, 1.3
-_LINE_HALF_WIDTH = 0.07
+_LAYOUT = SimpleNamespace(
+    line_half_width=0.07,
+    #: Windows of a car: bounds along its length and half its width, as fractions of length and half width.
+    windows=((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76, 0.90)),
+    #: Parts of the wheels outside the body, with the same bounds.
+    wheels=((0.13, 0.25, 0.98, 1.03), (0.72, 0.84, 0.98, 1.03)),
+)
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4
 _CLASS = {name: index for index, name in enumerate(MATERIALS)}
-
-#: Windows of a car: bounds along its length and half its width, as fractions of length and half width.
-_WINDOWS = ((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76, 0.90))
-#: Parts of the wheels outside the body, with the same bounds.
-_WHEELS = ((0.13, 0.25, 0.98, 1.03), (0.72, 0.84, 0.98, 1.03))
 
 
 def surface_classes(start: int, stop: int, columns: int, seed: int = 0) -> NDArray[np.int16]:
@@ -379,7 +380,9 @@ def surface_classes(start: int, stop: int, columns: int, seed: int = 0) -> NDArr
     classes[x < _KERB_END] = _CLASS["concrete"]
     classes[x < _GRASS_END] = _CLASS["grass"]
     # painted lines, at least a pixel wide, so that coarse pictures have them
-    is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= max(_LINE_HALF_WIDTH, sample / 2)
+    is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= max(
+        _LAYOUT.line_half_width, sample / 2
+    )
     for edge in _ROWS:
         classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
     # panels in the aisle
@@ -419,7 +422,7 @@ def _park(classes: NDArray[np.int16], y: Floats, x: Floats, bay: int, row: int, 
     body = np.abs(2 * u - 1) ** 6 + v**5 <= 1.0
     wheels, windows = (
         np.any([(u >= a) & (u <= b) & (v >= c) & (v <= d) for a, b, c, d in boxes], axis=0)
-        for boxes in (_WHEELS, _WINDOWS)
+        for boxes in (_LAYOUT.wheels, _LAYOUT.windows)
     )
     view[wheels] = _CLASS["tyre"]
     view[body] = _CLASS[paint]

@@ -34,6 +34,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import dask
@@ -955,12 +956,14 @@ def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> I
         yield from filter(None, pool.map(block_problem, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))
 
 
-#: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
-MAX_COPIED_SHARE = 0.1
+_COPYING = SimpleNamespace(
+    #: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
+    max_copied_share=0.1,
+    min_copied_slabs=4,  # number of slabs that may always be copied
+    sample_bytes=16 * 1024,
+)
 
-_MIN_COPIED_SLABS = 4  # number of slabs that may always be copied
 _INCOMPLETE = "and incomplete"
-_SAMPLE_BYTES = 16 * 1024
 
 
 def virtualise(
@@ -1140,9 +1143,9 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     )
     fs, key = url_to_fs(copy.url)
     with open(path, "rb") as file:
-        for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
+        for start in (0, local.size // 2, max(0, local.size - _COPYING.sample_bytes)):
             file.seek(start)
-            stop = min(start + _SAMPLE_BYTES, local.size)
+            stop = min(start + _COPYING.sample_bytes, local.size)
             StoreError.raise_if(
                 fs.cat_file(key, start=start, end=stop) != file.read(stop - start),
                 f"{copy.url} differs from {path} at byte {start} or after it",
@@ -1194,9 +1197,9 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
     total = -(-count // lines)
     copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
     FormatError.raise_if(
-        len(copied) > max(_MIN_COPIED_SLABS, MAX_COPIED_SHARE * total),
+        len(copied) > max(_COPYING.min_copied_slabs, _COPYING.max_copied_share * total),
         f"{len(copied)} of {total} slabs have lost frames or span two cubes, and would be copied",
-        expected=f"at most {MAX_COPIED_SHARE:.0%}",
+        expected=f"at most {_COPYING.max_copied_share:.0%}",
         mend="process the collect instead",
         code="slabs-copied",
     )

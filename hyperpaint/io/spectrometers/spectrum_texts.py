@@ -13,6 +13,7 @@ decimal comma, and only a comma *and a blank* separate the items of a list. `DIA
 way to write such a file.
 """
 
+import contextlib
 import datetime as dt
 import json
 import math
@@ -1549,7 +1550,14 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         bracket = _IN_BRACKETS.search(heading if quantity else head if head_quantity == "reflectance" else "")
         units = bracket[1] if bracket is not None else "%" if "%" in heading else ""
         column = TextColumn(heading, quantity or head_quantity, scan, units, values[number])
-        columns.append(column if quantity or units or not head_units else _by_units(column, head_units))
+        # a column without a heading has the quantity that the units of the head have
+        if head_units and not (quantity or units):
+            column = column._replace(units=head_units)
+            for kind in ("radiance", "irradiance"):
+                with contextlib.suppress(UnitsError):
+                    conversion_factor(head_units, VARIABLES[kind].units)
+                    column = column._replace(quantity=kind)
+        columns.append(column)
     # local time in the head, and local time minus UTC [h]; None where unknown or ambiguous
     match = re.search(form.stamp, head, re.MULTILINE)
     if match is None:
@@ -1585,14 +1593,3 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         window,
         gps,
     )
-
-
-def _by_units(column: TextColumn, units: str) -> TextColumn:
-    # Return a column without a heading with the quantity that the units of the head have.
-    for quantity in ("irradiance", "radiance"):
-        try:
-            conversion_factor(units, VARIABLES[quantity].units)
-        except UnitsError:
-            continue
-        return column._replace(quantity=quantity, units=units)
-    return column._replace(units=units)
