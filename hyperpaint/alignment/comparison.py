@@ -510,7 +510,7 @@ def variance_of_responses(bands: Responses) -> Floats:
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
 
-_COLUMNS = SimpleNamespace(
+_COLUMN_FIT = SimpleNamespace(
     #: Lower limit of relative residuals, from float32 and matching [1].
     residual_floor=1e-4,
     fit_iterations=12,
@@ -580,8 +580,9 @@ class Estimate:
 
 
 def fewest_bands(degree: int) -> int:
-    # Return the number of bands that a fit needs: polynomial, shift, width, and `_COLUMNS.min_freedom` more.
-    return int(degree + 1 + 2 + _COLUMNS.min_freedom)
+    # Return the number of bands that a fit needs: polynomial, shift, width, and `_COLUMN_FIT.min_freedom`
+    # more.
+    return int(degree + 1 + 2 + _COLUMN_FIT.min_freedom)
 
 
 def fit_columns(
@@ -609,7 +610,7 @@ def fit_columns(
     with np.errstate(invalid="ignore"):
         used = covered & (radiance > 0.0)
     has_bands = used.sum(axis=0) >= fewest_bands(degree)
-    freedom = used.sum(axis=0) - fewest_bands(degree) + _COLUMNS.min_freedom
+    freedom = used.sum(axis=0) - fewest_bands(degree) + _COLUMN_FIT.min_freedom
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, radiance, 1.0)), 0.0)
     ratio = _Ratio(table, log, shift[inside], used, *smooth_basis(table.wavelength, used, degree))
@@ -630,7 +631,7 @@ def fit_columns(
             factor = np.where(is_better, trial_factor, factor)
     # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
     last_step = np.zeros((best.size, 2))
-    for _ in range(_COLUMNS.fit_iterations):
+    for _ in range(_COLUMN_FIT.fit_iterations):
         tilt = ratio.tilt(tilt, best, factor)
         departure = ratio.departure(tilt, best, factor)
         matrix, vector = ratio.normal_equations(tilt, best, factor, departure)
@@ -648,7 +649,7 @@ def fit_columns(
     residual, residual_declared = (
         (values**2).sum(axis=0) / np.maximum(freedom, 1) for values in (departure, departure_declared)
     )
-    variance = np.maximum(residual, _COLUMNS.residual_floor**2)
+    variance = np.maximum(residual, _COLUMN_FIT.residual_floor**2)
     by_shift, by_factor, mixed = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
     # explicit inverse: a column without absorption bands would make the matrix singular
     determinant = by_shift * by_factor - mixed**2
@@ -739,12 +740,12 @@ def combined(windows: list[Estimate]) -> Estimate:
     # pooled variance over the variance of each window, where they are alike: variances from a few tens of
     # bands are uncertain by a third, and so would be weights from them
     variance = np.where(
-        is_reliable, np.maximum(stacked(windows, "residual"), _COLUMNS.residual_floor) ** 2, np.nan
+        is_reliable, np.maximum(stacked(windows, "residual"), _COLUMN_FIT.residual_floor) ** 2, np.nan
     )
     with np.errstate(all="ignore"):
         largest, smallest = (np.where(is_reliable, variance, limit) for limit in (-np.inf, np.inf))
         is_alike = largest.max(axis=0) <= _MAX_VARIANCE_RATIO * smallest.min(axis=0)
-        noise_factor = np.maximum(residual, _COLUMNS.residual_floor) ** 2 / variance
+        noise_factor = np.maximum(residual, _COLUMN_FIT.residual_floor) ** 2 / variance
     covariance = covariance * np.where(is_reliable & is_alike, noise_factor, 1.0)[..., None, None]
     # where no window is reliable, report the flags of the first
     is_reliable[0] |= ~is_reliable.any(axis=0)

@@ -308,8 +308,7 @@ def anchor_to_radiance(
     for band in range(bands):
         at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
         level[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
-    # Return linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure time
-    # [s].
+    # linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure time [s]
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         problems.add_if(
@@ -523,7 +522,7 @@ def _axis(array: xr.DataArray, name: str) -> xr.DataArray:
 
 _SHAPE_FIT = SimpleNamespace(
     #: Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
-    table_reach=2.0,
+    reach=2.0,
     #: Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3
     #: where the monochromator is as wide as the camera's response.
     smoothing=1e-4,
@@ -563,9 +562,7 @@ def measured_shape(
     # ``shape``: the best line model.
     from scipy.optimize import nnls
 
-    edges = np.arange(
-        -_SHAPE_FIT.table_reach - _TABLE_STEP / 2, _SHAPE_FIT.table_reach + _TABLE_STEP, _TABLE_STEP
-    )
+    edges = np.arange(-_SHAPE_FIT.reach - _TABLE_STEP / 2, _SHAPE_FIT.reach + _TABLE_STEP, _TABLE_STEP)
     # sums over the samples between two edges: area, area times distance, area times height
     sums, light, spacing, count = np.zeros((3, edges.size - 1)), [], [], 0
     for step, window in enumerate(sweep_data.windows):
@@ -636,7 +633,7 @@ def measured_shape(
 # steps it is filled by quantities that hardly change from step to step: wings as a function of the distance
 # from the lamp line, and the second order as a share of the lamp line at twice its wavelength.
 
-OFF_LINES = SimpleNamespace(
+OFF_LINE_LIMITS = SimpleNamespace(
     #: Minimum number of bands outside a lamp line for an estimate of scattered light.
     min_bands_outside=4,
     #: Number of nearest bins of distance from which a wing is extrapolated, exponentially, by at most a
@@ -703,7 +700,7 @@ def light_off_lines(
     shares = []
     for row, band in zip(rows, source, strict=True):
         is_outside = row != 0
-        if is_outside.sum() >= OFF_LINES.min_bands_outside:
+        if is_outside.sum() >= OFF_LINE_LIMITS.min_bands_outside:
             # the background that is subtracted from a lamp line: clipped mean of the bands outside its window
             median = np.median(row[is_outside])
             spread = 1.4826 * np.median(np.abs(row[is_outside] - median))
@@ -719,7 +716,7 @@ def light_off_lines(
         relative,
         wing,
         counted,
-        wing * (OFF_LINES.wing_u if is_usable else 1.0),
+        wing * (OFF_LINE_LIMITS.wing_u if is_usable else 1.0),
     )
 
 
@@ -765,9 +762,11 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
     # inside the window of a lamp line the wing is hidden: extrapolate its rise from outside, on both sides
     reach = float(np.abs(distance).min())
     for sign in (-1.0, 1.0):
-        order = np.argsort(np.where(sign * centres > 0, sign * centres, np.inf))[: OFF_LINES.nearest_bins]
+        order = np.argsort(np.where(sign * centres > 0, sign * centres, np.inf))[
+            : OFF_LINE_LIMITS.nearest_bins
+        ]
         nearest, level, rise = sign * centres[order], levels[order], 0.0
-        if level.size == OFF_LINES.nearest_bins and ((nearest > 0) & (level > 0)).all():
+        if level.size == OFF_LINE_LIMITS.nearest_bins and ((nearest > 0) & (level > 0)).all():
             rise = np.clip(-np.polyfit(nearest, np.log(level), 1)[0], 0.0, 1.0 / nearest[0])
         exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
         wing = np.where((np.abs(at) < reach) & (sign * at >= 0), max(level[0], 0.0) * np.exp(exponent), wing)
@@ -841,7 +840,7 @@ def _running_rms(values: Floats) -> Floats:
     return np.asarray(np.sqrt(total / np.maximum(np.convolve(is_finite, window, "same"), 1.0)))
 
 
-EXPECTED = SimpleNamespace(
+PLAUSIBLE_SWEEP = SimpleNamespace(
     #: Allowed distance of an element beyond the outer step, lower and upper limit [nm].
     edge_tolerance_nm=(0.01, 0.05),
     #: Offset of the dark above which it is reported [count].
@@ -918,7 +917,7 @@ class Result:
         source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
         own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
         factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
-        low, high = EXPECTED.edge_tolerance_nm
+        low, high = PLAUSIBLE_SWEEP.edge_tolerance_nm
         # without light that is scattered into the window of a lamp line
         self.gain, has_gain = element_gain(
             lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
@@ -1031,7 +1030,7 @@ class Result:
                 "slit-too-wide",
             )
         offset = self.dark_check.get("dark_offset_count", 0.0)
-        if abs(offset) > EXPECTED.max_dark_offset:
+        if abs(offset) > PLAUSIBLE_SWEEP.max_dark_offset:
             warn_user(
                 f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
                 "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
@@ -1122,7 +1121,7 @@ class Result:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.electrons_per_count
-        low, high = (electrons, electrons) if electrons is not None else EXPECTED.electrons_range
+        low, high = (electrons, electrons) if electrons is not None else PLAUSIBLE_SWEEP.electrons_range
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if max_counts * low > 1.05:
             share, expected, size = max_counts * low, "below 1", "small"
@@ -1364,9 +1363,7 @@ def fitted_lines(
             if "flat_field" in calibration.variables:
                 net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
             window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)
-            if window is None or column not in window.columns:
-                distance, counts = np.empty(0), np.empty(0)
-            else:
+            if window is not None and column in window.columns:
                 line = int(np.flatnonzero(window.columns == column)[0])
                 is_finite = np.isfinite(window.values[line])
                 distance, counts = window.places[line, is_finite], window.values[line, is_finite]

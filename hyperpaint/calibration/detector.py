@@ -1186,7 +1186,7 @@ def element_differences(
     return float(np.sqrt(relative)), float(slope)
 
 
-PLACES = SimpleNamespace(
+PLACED_LINES = SimpleNamespace(
     #: Largest distance of a lamp line from the wavelength map [nm].
     max_misplacement_nm=0.5,
     #: Largest chi2 relative to the step's median; above, a lamp line contains several dead elements.
@@ -1214,10 +1214,10 @@ def placed_lines(
     width = np.where(lamp_lines.trusted, lamp_lines.camera_width, np.nan)
     median, median_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
     with np.errstate(invalid="ignore"):
-        is_typical = misfit < PLACES.max_relative_chi2 * median
-        is_typical &= np.abs(width / median_width - 1.0) < PLACES.max_width_deviation
+        is_typical = misfit < PLACED_LINES.max_relative_chi2 * median
+        is_typical &= np.abs(width / median_width - 1.0) < PLACED_LINES.max_width_deviation
         return np.asarray(
-            is_typical & (distance < max(PLACES.max_misplacement_nm, 6.0 * wavelength_map.residual))
+            is_typical & (distance < max(PLACED_LINES.max_misplacement_nm, 6.0 * wavelength_map.residual))
         )
 
 

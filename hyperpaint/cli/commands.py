@@ -453,7 +453,7 @@ boresight, ground, clock_offset and column_order first. The signs of angles are 
     "--flags/--no-flags",
     default=None,
     help="Flag an unflagged line first, so that signatures of the map leave out glint and shadow.  "
-    "[default: for map.zarr, where the light is known]",
+    "[default: for map.zarr]",
 )
 @takes("workflows.maps:location_of", only=["ground", "dem"])
 @settable({"workflows.maps:location_of": []}, without=["flightline", "ground", "dem"])
@@ -475,13 +475,16 @@ def make_map(
 
     out = out or beside(store, f"{line or 'map'}.tif")
     map_options = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
-    if map_options["geozarr"] and out.suffix.lower() != ".zarr":
-        raise click.UsageError(f"--geozarr needs an --out that ends in .zarr, not {out} [option-conflict]")
+    is_store = out.suffix.lower() == ".zarr"
+    for name, is_set in (("geozarr", map_options["geozarr"]), ("flags", flags)):
+        if is_set and not is_store:
+            raise click.UsageError(f"--{name} needs an --out that ends in .zarr, not {out} [option-conflict]")
     _check_map(store, out)
     arguments = {**settings, **without_none(options)}
     with progress_bar("locating") as progress:
-        flags = False if flags is None and out.suffix.lower() != ".zarr" else flags
-        orthomap = workflows.maps.map_of_store(store, line, flags=flags, progress=progress, **arguments)
+        orthomap = workflows.maps.map_of_store(
+            store, line, flags=flags if is_store else False, progress=progress, **arguments
+        )
     notes = workflows.maps.write_map(orthomap, out, progress=is_watched(), **map_options)
     facts = [_cells(orthomap), describe_swath(orthomap.attrs), notes]
     click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
@@ -688,8 +691,8 @@ def make_signatures(
         )
     if flags and library.attrs["flags"] == workflows.field_day.NOT_DETECTED:
         click.echo(
-            "glint, shadow and light of neighbours are not flagged on this map; signatures from the store of "
-            "the flight line exclude them, and from maps of hyperpaint orthorectify --flags",
+            "glint, shadow and light of neighbours are not flagged on this map: make it again with "
+            "hyperpaint orthorectify --flags, or extract from the store of the flight line",
             err=True,
         )
     for text in library.attrs.get("left_out", ()):

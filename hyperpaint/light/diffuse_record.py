@@ -678,10 +678,8 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # under broken cloud, a shadow reaches receiver and ground at different times, except in free sun
     departure = fraction - fraction.mean(axis=0)
     square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
-    # Return whether no cloud hides the sun for some seconds around a sample (sample,).
-    #
-    # The light is then steady, with both neighbours in the record, and as bright as the brightest moments of
-    # the window.
+    # Whether no cloud hides the sun for some seconds around a sample (sample,): the light is then steady,
+    # with both neighbours in the record, and as bright as the brightest moments of the window.
     cosine = np.cos(np.radians(np.minimum(evidence.sun_zenith, MAX_SUN_ZENITH_DEG)))
     level = np.exp(evidence.level).mean(axis=1) / cosine
     start, stop = _window_of(evidence.seconds, RULES.passing_s)

@@ -46,8 +46,8 @@ from .sun import diffuse_fraction, solar_position
 
 #: Relative change of the 400-1000 nm irradiance between two samples above which the light is unstable.
 UNSTABLE_CHANGE = 0.02
-DOUBT = SimpleNamespace(
-    low_sun_zenith=75.0,
+LIGHT_FLAGS = SimpleNamespace(
+    low_sun_zenith_deg=75.0,
     #: Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s.
     unknown_clock=40.0,
     #: Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive.
@@ -86,7 +86,7 @@ def line_light(
     # negative value marks a sample to leave out. ``max_gap`` is the longest interval that is interpolated
     # [s], 2.5 median intervals by default; without the camera's ``latitude`` and ``longitude`` (line,)
     # [degree] the sun's height is not judged; ``clock_uncertainty`` is how far the clocks of camera and
-    # spectrometer may disagree [s], `DOUBT.unknown_clock` by default.
+    # spectrometer may disagree [s], `LIGHT_FLAGS.unknown_clock` by default.
     #
     # Raises `TimeError`: Irradiance times do not increase, are missing, or there is no valid sample. Raises
     # `SchemaError`: ``max_gap`` or ``clock_uncertainty`` is out of range.
@@ -129,16 +129,16 @@ def line_light(
     level = levels[valid].sum(axis=1)
     change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
     has_no_light = outside | gap | missing
-    max_offset = DOUBT.unknown_clock if clock_uncertainty is None else clock_uncertainty
+    max_offset = LIGHT_FLAGS.unknown_clock if clock_uncertainty is None else clock_uncertainty
     sensitivity = timing_sensitivity(stamps, ticks, levels[valid], max_offset)
     sensitivity[has_no_light] = np.nan
     flags = np.zeros(lines.shape, np.uint16)
     flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
     flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
-    flags[sensitivity > DOUBT.timing_effect] |= np.uint16(Quality.TIMING_SENSITIVE)
+    flags[sensitivity > LIGHT_FLAGS.timing_effect] |= np.uint16(Quality.TIMING_SENSITIVE)
     if latitude is not None and longitude is not None:
         zenith, _ = solar_position(lines, latitude, longitude)
-        flags[np.nan_to_num(zenith, nan=0.0) > DOUBT.low_sun_zenith] |= np.uint16(Quality.LOW_SUN)
+        flags[np.nan_to_num(zenith, nan=0.0) > LIGHT_FLAGS.low_sun_zenith_deg] |= np.uint16(Quality.LOW_SUN)
     flags[missing] = Quality.NO_DATA
     return LineLight(
         valid[low].astype(np.int64),

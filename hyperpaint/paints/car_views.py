@@ -158,16 +158,16 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
             is_stray = shapes @ median / np.linalg.norm(median) < np.cos(np.radians(MAX_ANGLE_DEG))
             stray[measured] = is_stray & (2 * is_stray.sum() < measured.size)
         kept = measured[~stray[measured]] if measured.size else views
-        placed = kept[np.isfinite(angle[kept] + level[kept])]
-        if placed.size and np.ptp(angle[placed]) >= VIEWS.min_range_deg:
-            logs = np.log(np.maximum(level[placed], 1e-6))
+        angled = kept[np.isfinite(angle[kept] + level[kept])]
+        if angled.size and np.ptp(angle[angled]) >= VIEWS.min_range_deg:
+            logs = np.log(np.maximum(level[angled], 1e-6))
             # weighted straight line; scatter beyond the uncertainty widens that of its slope
-            weight = difference_u[placed] ** -2.0
-            centre = angle[placed] - np.average(angle[placed], weights=weight)
+            weight = difference_u[angled] ** -2.0
+            centre = angle[angled] - np.average(angle[angled], weights=weight)
             spread = float((weight * centre**2).sum())
             slope = float((weight * centre * logs).sum()) / spread
             residual = logs - np.average(logs, weights=weight) - slope * centre
-            excess = float((weight * residual**2).sum()) / max(placed.size - 2, 1)
+            excess = float((weight * residual**2).sum()) / max(angled.size - 2, 1)
             slope_u = float(np.sqrt(max(1.0, excess) / spread))
             change[views], change_u[views] = slope, slope_u
             if slope + 2.0 * slope_u < -FLAKE_CHANGE:

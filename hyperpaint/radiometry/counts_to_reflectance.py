@@ -252,7 +252,7 @@ def white_reference(
         tile_uncertainty or 0.0,
         surface=tile_surface,
     )
-    # Return the reflectance factor of the tile in every band, and the uncertainty by its surface.
+    # reflectance factor of the tile in every band, and the uncertainty by its surface
     bands = line["wavelength"].values if "wavelength" in line.coords else np.full(line.sizes[BAND], np.nan)
     factor, surface_u = np.ones(bands.shape), 0.0
     if not is_lambertian(certified.surface):
@@ -283,12 +283,12 @@ def white_reference(
     # variables of a white reference: gain, its uncertainty, and the change of the light.
     times = [each.reference.time for each in whites]
     is_timed = "time" in line.coords and all(time is not None for time in times) and len(set(times)) > 1
-    whites = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
-    rates = np.stack([each.light / each.exposure for each in whites])
-    is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in whites], axis=0)
+    by_time = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
+    rates = np.stack([each.light / each.exposure for each in by_time])
+    is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in by_time], axis=0)
     rates[:, ~is_used] = np.nan
     warn_if(
-        saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum(),
+        saturated := np.any([each.saturated(limit) for each in by_time], axis=0).sum(),
         f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
         "white-saturated",
     )
@@ -315,7 +315,7 @@ def white_reference(
         "white-moved",
     )
     rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
-    variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
+    variances = np.stack([each.variance / each.exposure**2 for each in by_time]) / level[:, :, None] ** 2
     variance = variances.sum(axis=0) / len(whites) ** 2
     with np.errstate(invalid="ignore"):
         values: dict[str, tuple[tuple[str, ...], Any]] = {
@@ -325,7 +325,7 @@ def white_reference(
     if tile_uncertainty is not None:
         values["reflectance_gain_u_systematic"] = ((), tile_uncertainty)
     if is_timed:
-        stamps = np.array([each.reference.time for each in whites], "datetime64[ns]")
+        stamps = np.array([each.reference.time for each in by_time], "datetime64[ns]")
         values |= {"white_level": (("white_time", BAND), level), "white_time": (("white_time",), stamps)}
         # lines before the first or after the last white reference, whose light is not interpolated
         known = line["time"].values[~np.isnat(line["time"].values)]
@@ -335,7 +335,7 @@ def white_reference(
             "the light of the nearest one is used",
             "white-held",
         )
-    if electrons := _electrons_per_count(line, whites, is_used):
+    if electrons := _electrons_per_count(line, by_time, is_used):
         values["electrons_per_count"] = (), electrons
     return line.assign(
         {

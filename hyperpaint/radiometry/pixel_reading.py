@@ -45,7 +45,7 @@ from .slabs import NO_CUBE, Plan, calibrate_lines, line_chunked
 from .spectral_axis import bands_at
 
 SCREEN = SimpleNamespace(
-    screen_lines=1000,
+    lines=1000,
     #: Pixels along the side of the smallest block: stored means are at most a sixteenth of the cube.
     min_block_side=4,
     #: Mantissa bits of a stored mean: precision and size of float16, in a type that netCDF holds.
@@ -131,7 +131,7 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     lines, bands, columns = cube.shape
     if side is None:
         side = SCREEN.min_block_side
-        while side < CHUNK_LINES and lines > SCREEN.screen_lines * side:
+        while side < CHUNK_LINES and lines > SCREEN.lines * side:
             side *= 2
     # every task has complete blocks
     starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])

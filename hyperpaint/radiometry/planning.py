@@ -292,9 +292,8 @@ def make_plan(
     if light is not None and time is not None:
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
     elif "white_level" in cube and time is not None:
-        # Return the light on white references as a series of a `Plan`, and the whites around every line.
-        #
-        # Light is linear in time between two whites; before the first and after the last it is constant.
+        # The light on white references as a series of a `Plan`, and the whites around every line: light is
+        # linear in time between two whites; before the first and after the last it is constant.
         level = np.asarray(cube["white_level"], np.float64)
         before, weight = between_stamps(np.asarray(cube["white_time"]).astype("datetime64[ns]"), time)
         change = np.nanmedian(np.abs(level[before + 1] / level[before] - 1.0), axis=1)

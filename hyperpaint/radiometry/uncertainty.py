@@ -1239,8 +1239,7 @@ class RegionSums:
         if line.dark_offset.any():
             shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
-            # Return the change of a mean by an error of the wavelength scale (band,).
-            assert line.light is not None
+            # change of a mean by an error of the wavelength scale (band,)
             light = line.light.level
             steps = band_steps(line.wavelength)
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -1267,7 +1266,7 @@ class RegionSums:
         sizes = {name: np.sqrt(np.diagonal(square)) for name, square in covariances.items()} | shared_errors
         names = tuple(name for name in FORMS if name in sizes)
         total = np.sum(list(covariances.values()), axis=0)
-        # Return standard deviations (band,) and correlations (lag, band) up to the last significant lag.
+        # standard deviations (band,) and correlations (lag, band) up to the last significant lag.
         sd = np.sqrt(np.diagonal(total))
         bands = sd.size
         lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)

@@ -423,7 +423,7 @@ _IMAGER = SimpleNamespace(
     # columns of a matrix product: for larger products BLAS uses threads, which are slow on a busy machine
     columns_at_once=16,
     planck_times_light=6.62607015e-34 * 2.99792458e8,
-    dispersion=2.2140,  # nm per detector pixel, independent of the number of bands
+    dispersion_nm_per_px=2.2140,  # nm per detector pixel, independent of the number of bands
 )
 
 
@@ -482,7 +482,7 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
         )
         photons = wavelength * 1e-9 / _IMAGER.planck_times_light
         return np.asarray(
-            (0.04 + 0.93 * blaze) * silicon * photons * _IMAGER.dispersion / electrons_per_count
+            (0.04 + 0.93 * blaze) * silicon * photons * _IMAGER.dispersion_nm_per_px / electrons_per_count
         )
 
     return responsivity

@@ -353,7 +353,7 @@ _BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
 _ROWS = (1.4, 10.9)  # positions across the track at which the two rows of bays begin [m]
 _GRASS_END, _KERB_END = 1.0, 1.3
 _LAYOUT = SimpleNamespace(
-    line_half_width=0.07,
+    line_half_width_m=0.07,
     #: Windows of a car: bounds along its length and half its width, as fractions of length and half width.
     windows=((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76, 0.90)),
     #: Parts of the wheels outside the body, with the same bounds.
@@ -381,7 +381,7 @@ def surface_classes(start: int, stop: int, columns: int, seed: int = 0) -> NDArr
     classes[x < _GRASS_END] = _CLASS["grass"]
     # painted lines, at least a pixel wide, so that coarse pictures have them
     is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= max(
-        _LAYOUT.line_half_width, sample / 2
+        _LAYOUT.line_half_width_m, sample / 2
     )
     for edge in _ROWS:
         classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]

@@ -199,7 +199,7 @@ SHADOWS = SimpleNamespace(
     min_marking_sky=0.22,  # Minimum amount of the sky's light in shadows on bay lines and kerbs [1].
     max_marking_direct=0.04,  # Maximum direct light in shadows on bay lines and kerbs [1].
     # Maximum width of such shadows, relative to that of the lit line or kerb [1]: a black roof is wider.
-    max_marking_width=1.0,
+    max_marking_width=1.05,
     # Minimum share of the border that touches other shadows, for a clear shadow [1].
     next_clear=0.04,
     next=0.4,  # The same for a shadow that is not clear [1].

@@ -423,12 +423,14 @@ def _extend(
     # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
     enclosable = best & ~faces_sun & (mixtures.misfit < SHADOWS.max_dim_misfit)
     enclosable &= (mixtures.direct < SHADOWS.max_enclosed_direct) & (mixtures.sky > SHADOWS.min_enclosed_sky)
-    width = scene.size / np.maximum(scene.border, 1.0)
+    # width of the rectangle with the size and the border of a segment
+    quarter = scene.border / 4.0
+    width = quarter - np.sqrt(np.maximum(quarter**2 - scene.size, 0.0))
     markings = (
         object_shadows
         & (mixtures.sky > SHADOWS.min_marking_sky)
         & (mixtures.direct < SHADOWS.max_marking_direct)
-        & (width[mixtures.segment] < SHADOWS.max_marking_width * width[mixtures.body])
+        & (width[mixtures.segment] <= SHADOWS.max_marking_width * width[mixtures.body])
     )
     clear = _are_clear(mixtures, max_sent=SHADOWS.max_sent_beside)
     for _ in range(SHADOWS.rounds):

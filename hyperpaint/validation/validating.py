@@ -1065,13 +1065,6 @@ def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
     return (latitude, longitude) if np.isfinite(latitude + longitude) else None
 
 
-def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
-    if key not in dataset.variables:
-        return bool(dataset.attrs.get(key, False))
-    array = dataset[key]
-    return bool(array.values[number] if array.dims == ("spectrum",) else array.values.any())
-
-
 def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
     overlap = text if isinstance(text, str) and text else UNKNOWN
     return {"overlap": overlap, "matched": bool(matched) or overlap == "matched"}

@@ -1,6 +1,5 @@
 """Maps and mosaics of the flight lines of a store, and their files."""
 
-import contextlib
 import inspect
 import json
 import math
@@ -11,7 +10,7 @@ from typing import Any, Literal
 
 import xarray as xr
 
-from hyperpaint.base import Convention, PaintError, Progress, SchemaError, part_of
+from hyperpaint.base import Convention, PaintError, Progress, SchemaError, part_of, warn_user
 from hyperpaint.geometry.georeference.locating import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
@@ -51,17 +50,21 @@ def map_of_store(
     # Return the map of a flight line of a store, lazily.
     #
     # ``flags``: whether glint, shadow, light of neighbours and mixed edges of an unflagged line are flagged
-    # first; with None they are where its light is known. ``options`` are those of `location_of`, and of
-    # `hyperpaint.geometry.orthorectify`.
+    # first; with None, a line that cannot be flagged is mapped with a warning. ``options`` are those of
+    # `location_of`, and of `hyperpaint.geometry.orthorectify`.
     #
     # Raises `SchemaError` if the store lacks the line, or has several and ``line`` is None; if options are
     # passed for a line that is located; or as `location_of`.
     flightline = line_of_store(store, line)
     location = location_of(flightline, **{name: options.pop(name) for name in LOCATION & set(options)})
     if flags is not False and not is_flagged(flightline):
-        tolerated = () if flags else (PaintError,)
-        with survey_planned(flightline, "the survey of the line"), contextlib.suppress(*tolerated):
-            flightline = flag_line(flightline, progress=part_of(progress, 0, 2)).line
+        try:
+            with survey_planned(flightline, "the survey of the line"):
+                flightline = flag_line(flightline, progress=part_of(progress, 0, 2)).line
+        except PaintError as error:
+            if flags:
+                raise
+            warn_user(f"glint and shadow are not flagged on the map: {error}", "flags-not-searched")
         progress = part_of(progress, 1, 2)
     return orthorectify(flightline, progress=progress, **options, **location)
 

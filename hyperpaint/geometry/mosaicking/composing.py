@@ -770,7 +770,7 @@ LEVELLED_BY = ("hits", "quality")  # planes needed besides the spectra
 
 _LEVELLING = SimpleNamespace(
     # every second row and column is used: neighbouring cells are redundant
-    levelling_step=2,
+    step=2,
     min_overlap_cells=20,  # cells of a tile in which two lines must overlap
     # standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964)
     huber_sd=1.345,
@@ -845,9 +845,7 @@ def _ratios(recipes: dict[int, Recipe]) -> list[tuple[int, int, Floats, Floats]]
     # NaN where there are too few cells.
     logs = {}
     for number, recipe in recipes.items():
-        hits, quality, cube = (
-            values[:: _LEVELLING.levelling_step, :: _LEVELLING.levelling_step] for values in recipe()
-        )
+        hits, quality, cube = (values[:: _LEVELLING.step, :: _LEVELLING.step] for values in recipe())
         is_good = ((hits > 0) & (quality == 0))[..., None] & (cube > 0.0)
         logs[number] = np.log(np.where(is_good, cube, np.nan))
     ratios = []

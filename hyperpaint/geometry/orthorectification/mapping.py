@@ -194,7 +194,7 @@ def tile_array(
 
 
 _DIRECTION = SimpleNamespace(
-    direction_lines=64,  # sampled for the direction of flight
+    lines=64,  # sampled for the direction of flight
     sampled_columns=64,  # minimum number sampled for the median spacing of a line
     task_slabs=8,
 )
@@ -231,7 +231,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
     # The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide
     # has no direction; the normal of the lines is used instead.
     count = east.shape[0]
-    sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION.direction_lines).astype(int))
+    sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION.lines).astype(int))
     first_lines = np.cumsum((0, *east.chunks[0]))
     for lines in (sampled_lines, np.arange(count)):  # all lines, if the sampled lines have no pose
         # east and north of the first and last located pixel of every line (line, 2, 2)

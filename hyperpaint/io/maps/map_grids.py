@@ -138,14 +138,15 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
-    # Return a height raster (y, x); from a large raster, the window around a flight. path: A GeoTIFF, a grid
-    # of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes [degree] and heights [m] of
-    # the flight, (time,) each: a raster of more than `_SIZES.max_whole_cells` cells is read only within four
-    # times the flight height above ground. Returns float32, or float64 where float32 is too narrow: NaN in
-    # holes, scale and offset of the file applied, with coordinates of the cells' centres and `spatial_ref`.
-    # Raises FormatError: As `open_raster`; it has several bands, is rotated, lacks crs, transform or metadata
-    # in a file beside it, has blocks over `_SIZES.max_block_bytes`, or needs a window of too many cells.
-    # Raises SchemaError: It is large, and the position of the flight is unknown.
+    # Return a height raster (y, x); from a large raster, the window around a flight.
+    # path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes
+    # [degree] and heights [m] of the flight, (time,) each: a raster of more than `_SIZES.max_whole_cells`
+    # cells is read only within four times the flight height above ground.
+    # Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
+    # applied, with coordinates of the cells' centres and `spatial_ref`. Raises FormatError: As `open_raster`;
+    # it has several bands, is rotated, lacks crs, transform or metadata in a file beside it, has blocks over
+    # `_SIZES.max_block_bytes`, or needs a window of too many cells. Raises SchemaError: It is large, and the
+    # position of the flight is unknown.
     with open_raster(path, "opening a DEM") as raster:
         from rasterio.enums import MaskFlags
 
@@ -279,7 +280,7 @@ def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) ->
 
 _WINDOW = SimpleNamespace(
     # Cells are read up to this distance from the flight [heights above ground]: 76 degrees off nadir.
-    window_heights=4.0,
+    heights=4.0,
     # Additional border on each side [cell].
     border_cells=64,
     track_points=257,
@@ -337,7 +338,7 @@ def _window(
     lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
     height_above_ground = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
     units_per_metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
-    reach = _WINDOW.window_heights * height_above_ground * units_per_metre
+    reach = _WINDOW.heights * height_above_ground * units_per_metre
     longitude_factor = (
         1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
     )

@@ -53,7 +53,7 @@ COPIES = SimpleNamespace(
     # Memory of the dask graph of one slab [byte].
     task_bytes=16_000,
     # Spacing of the shifts at which matched irradiance is stored [nm].
-    smile_step=0.5,
+    smile_step_nm=0.5,
 )
 
 
@@ -101,7 +101,7 @@ class Load:
         if shift is not None and shift.chunks is not None:
             cells = 16
         elif shift is not None and shift.size:
-            cells += math.ceil(float(np.ptp(shift.values)) / COPIES.smile_step)
+            cells += math.ceil(float(np.ptp(shift.values)) / COPIES.smile_step_nm)
         cubic = line.sizes[BAND] * cells * 4 * np.dtype(np.float64).itemsize
         small = sum(v.nbytes for v in line.variables.values() if ALONG_TRACK not in v.dims or v.ndim == 1)
         return cls(

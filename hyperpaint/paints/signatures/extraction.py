@@ -68,7 +68,7 @@ from hyperpaint.regions.proposals import (
     GAPS,
     JUDGING,
     LEANS,
-    LEVELS as ROOFS,
+    LEVELS as ROOF_LEVELS,
     change_with_lean,
     fitted_surface,
 )
@@ -318,7 +318,8 @@ DRAWN = SimpleNamespace(
     #: quartiles [1]: it lies anywhere between them.
     crown_share=1.0 / np.sqrt(12.0),
     #: Standard deviation of the level part of a drawn roof from its middle [half widths].
-    middle=0.15,
+    middle_sd_half_widths=0.15,
+    min_aspect=1.2,  # minimum length of a drawn roof over its width for its axis to be known
     #: Uncertainty of the level where a cloud may have covered the sun, relative [1].
     covered_sun_u=0.5,
     #: Maximum standard uncertainty of the diffuse fraction under broken clouds with free sun [1].
@@ -331,23 +332,33 @@ def change_over_crown(paint: xr.Dataset, good: npt.NDArray[np.bool_]) -> tuple[f
     #
     # The lean grows with the distance from the level part, which is near the middle of a roof: a surface of
     # second order through the logarithms of the members' brightness gives the difference of mean and middle,
-    # and the slope in the middle over the known curvature of roofs. None with too few members.
-    members = paint["member_reflectance"].values[:, good].mean(axis=1)
+    # and the slope in the middle over the known curvature of roofs. None with too few members, or where
+    # length and width of the roof are too alike to be told apart.
+    # bands that many members lack are left out
+    spectra = paint["member_reflectance"].values[:, good]
+    has_value = np.isfinite(spectra)
+    has_band = has_value.sum(axis=0) > FLAKES.min_band_share * has_value.any(axis=1).sum()
+    members = spectra[:, has_band].mean(axis=1)
     is_used = members > 0.0  # not NaN
-    if is_used.sum() < ROOFS.min_fitted_px:
+    if is_used.sum() < ROOF_LEVELS.min_fitted_px:
         return None
     places = np.stack([paint[f"member_{dim}"].values[is_used] for dim in (ALONG_TRACK, CROSS_TRACK)], axis=1)
     variances, axes = np.linalg.eigh(np.cov(places.T))
     # half extents of a uniform distribution, across the roof first
     half = np.sqrt(3.0 * np.maximum(variances, 1.0))
+    if half[1] < DRAWN.min_aspect * half[0]:
+        return None
     v, u = ((places - places.mean(axis=0)) @ axes / half[0]).T
     design = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
     terms, _, sd = fitted_surface(design, np.log(members[is_used]).astype(np.float64))
-    offset = float((design @ terms).mean() - terms[0])
-    # lean half a width from the middle, along and across
-    along = min(2.0 * ROOFS.drop * half[0] / half[1], np.radians(ROOFS.max_crown_deg))
-    change = np.hypot(terms[1] / along, terms[2] / np.radians(ROOFS.crown_deg))
-    return float(np.hypot.reduce([offset, DRAWN.middle * np.hypot(*terms[1:3]), sd])), float(change)
+    # over the leans half a width from the middle, along and across [rad]
+    lean_along = min(2.0 * ROOF_LEVELS.drop * half[0] / half[1], np.radians(ROOF_LEVELS.max_crown_deg))
+    change = np.hypot(terms[1] / lean_along, terms[2] / np.radians(ROOF_LEVELS.crown_deg))
+    return float(
+        np.hypot.reduce(
+            [(design @ terms).mean() - terms[0], DRAWN.middle_sd_half_widths * np.hypot(*terms[1:3]), sd]
+        )
+    ), float(change)
 
 
 def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
@@ -381,7 +392,8 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
         spread = float(np.nanmean(np.diff(quartiles.values[:, good], axis=0))) / level
         zenith, lean = float(paint["sun_zenith"]), float(paint["lean"])
         change = change_with_lean(45.0 if np.isnan(zenith) else zenith)
-        crown = change_over_crown(paint, good) if "roof" in words else None
+        # the width of a part of a roof is not known
+        crown = change_over_crown(paint, good) if "roof" in words and "part" not in words else None
         if crown is None and "solid" not in words:  # flakes change by more
             change = max(change, JUDGING.unseen_change)
         change = max((1.0 - split) * change, 0.0 if crown is None else crown[1])
@@ -695,8 +707,9 @@ def extract_signatures(
     A region that was not proposed has the ``level_uncertainty`` of noise and dust, of a lean (0.9 degrees
     where its ``kind`` is "roof", else 7), of the change over the region, whose mean is not its level part,
     and of the light of neighbours; the mirrored sky is in ``reflectance_u_coat``. Over the crown of a roof
-    both changes are measured: a surface of second order through its members has the difference of mean and
-    middle, and its slope there, over the known curvature of roofs, the change with lean.
+    (not of a "roof part") both changes are measured: a surface of second order through its members gives the
+    difference of mean and middle, and its slope there, over the known curvature of roofs, the change with
+    lean.
 
     The signature of a metallic or pearl paint (by ``finish`` or ``kind`` of its region) holds only for its
     ``aspecular_angle`` under its sun and sky; it is not corrected for the coat, and ``flop`` shows the change

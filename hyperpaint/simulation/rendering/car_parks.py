@@ -45,7 +45,7 @@ from .scene_spectra import FOURTEEN, PANELS, fleet_names, is_paint, paint_spec
 
 
 _BODY = SimpleNamespace(
-    body_crease_deg=38.0,  # angle above which an edge is not smoothed
+    crease_deg=38.0,  # angle above which an edge is not smoothed
     tread_crease_deg=40.0,
     seam_m=0.009,  # width of a gap between body parts
     sill_m=0.19,  # height of the lower edge of the body
@@ -174,7 +174,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     # a floor between the sills blocks light from below
     rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
     parts = [
-        Part(lattice, (sections, surface, part), crease=_BODY.body_crease_deg),
+        Part(lattice, (sections, surface, part), crease=_BODY.crease_deg),
         *_ends(sections),
         Part(lattice, (sections[rows][:, [-1, 0]], "trim", "underbody")),
         *_wheels(length, width),
@@ -296,7 +296,7 @@ def _ends(sections: Floats) -> Iterator[Part]:
         yield Part(
             lattice,
             (np.stack([left, right], axis=1)[::order], "paint", "bumper"),
-            crease=_BODY.body_crease_deg,
+            crease=_BODY.crease_deg,
         )
 
 
@@ -330,7 +330,7 @@ MAX_ROWS = 199
 _BEYOND = 7.0  # length of asphalt before the first bay and behind the last [m]
 _LOT = SimpleNamespace(
     rounding_m=1e-9,  # by which a width may be too small for its rows
-    tufted=2.5,  # width of the strip of lawn with blades, from the kerb [m]
+    tufted_m=2.5,  # width of the strip of lawn with blades, from the kerb [m]
     fleet_size=5000,  # different cars of a fleet: more than a car park has bays
 )
 _GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of the strips west of the first row [m]
@@ -518,7 +518,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
         foot = rng.uniform(
-            (east - _LOT.tufted, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
+            (east - _LOT.tufted_m, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
         )
         lean = rng.normal(0.0, 0.05, (count, 3)) * (1, 1, 0) + (0, 0, 0.07)
         side = rng.normal(0.0, 0.06, (count, 3)) * (1, 1, 0)

@@ -418,7 +418,7 @@ def coated_reflectance(
 # --- gloss and flop index -----------------------------------------------------------------------------------
 
 
-_MEASURED = SimpleNamespace(
+_GLOSS_AND_FLOP = SimpleNamespace(
     gloss_angle_deg=20.0,
     glass_index=1.567,  # refractive index of the black glass with 100 gloss units
     receptor_deg=(1.8, 3.6),  # field of the receptor in and across the plane of incidence: ISO 2813, table 1
@@ -469,11 +469,14 @@ def gloss_units(coat: Coat) -> float:
     tilt, weight = tilt * np.radians(coat.waviness) / np.sqrt(2.0), weight / weight.sum()
     slopes = radius[:, None] * np.cos(angle)  # slopes in the plane of incidence
     cross_slopes = radius[:, None] * np.sin(angle)
-    cosine = np.cos(np.radians(_MEASURED.gloss_angle_deg))
+    cosine = np.cos(np.radians(_GLOSS_AND_FLOP.gloss_angle_deg))
 
     def overlap(deflection: Floats, axis: int) -> Floats:
         # share of the source's image, shifted by an angle [rad], inside the field of the receptor
-        receptor, source = np.radians(_MEASURED.receptor_deg[axis]), np.radians(_MEASURED.source_deg[axis])
+        receptor, source = (
+            np.radians(_GLOSS_AND_FLOP.receptor_deg[axis]),
+            np.radians(_GLOSS_AND_FLOP.source_deg[axis]),
+        )
         return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
     flux = 0.0
@@ -482,7 +485,9 @@ def gloss_units(coat: Coat) -> float:
         for tilt_across, weight_across in zip(tilt, weight, strict=True):
             overlaps = along * overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
             flux += weight_along * weight_across * float(overlaps.mean())
-    mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _MEASURED.glass_index)]
+    mirrors = [
+        float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLOSS_AND_FLOP.glass_index)
+    ]
     return float(100.0 * flux * mirrors[0] / mirrors[1])
 
 
@@ -641,7 +646,7 @@ def flop_index(
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     # view angles, positive on the side of the mirror direction
-    views = [_LIGHT_DEG - aspecular for aspecular in _MEASURED.aspecular_deg]
+    views = [_LIGHT_DEG - aspecular for aspecular in _GLOSS_AND_FLOP.aspecular_deg]
     return [lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
 
 
@@ -692,7 +697,7 @@ def flakes_of_flop(
     Parameters
     ----------
     flop
-        Flop index, at most `_MEASURED.max_flop_index`.
+        Flop index, at most 17.
     material
         Coat, and flakes whose share and spectrum are kept.
     wavelength, body, flakes
@@ -721,7 +726,7 @@ def flakes_of_flop(
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
-    most = min(float(flops[peak]), _MEASURED.max_flop_index)
+    most = min(float(flops[peak]), _GLOSS_AND_FLOP.max_flop_index)
     SchemaError.raise_if(
         not (nearest or flops[-1] <= flop <= most),
         f"flop index is {flop}",

@@ -493,7 +493,7 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
 
 _FLEET = SimpleNamespace(
     #: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it; real
-    #: paints reach `materials.MAX_FLOP_INDEX`.
+    #: paints reach 17.
     flops=(5.0, 16.0),
     mean_age_years=9.0,
     fleet_members=64,
