@@ -93,10 +93,12 @@ def test_drawn_roofs__lie_inside_the_roof_of_every_whole_car() -> None:
 
 def test_seeds__are_apart_and_scenes_follow_from_them() -> None:
     for source in fleet.SCENES:
-        assert not set(fleet.TUNE[source]) & set(fleet.JUDGE[source])
+        seeds = [seed for kind in fleet.SEEDS.values() for seed in kind[source]]
+        assert len(seeds) == len(set(seeds))
     assert rendered_cars.conditions_of(700) == rendered_cars.conditions_of(700)
     assert foreign_cars.conditions_of(750) == foreign_cars.conditions_of(750)
-    conditions = [rendered_cars.conditions_of(seed) for seed in fleet.JUDGE["hyperpaint"]]
+    judging = (*fleet.SEEDS["judged"]["hyperpaint"], *fleet.SEEDS["judge"]["hyperpaint"])
+    conditions = [rendered_cars.conditions_of(seed) for seed in judging]
     assert sum(light.fleet == "black" for light in conditions) == 6
     assert len({light.cloud_size for light in conditions if "broken" in light.skies}) > 1
     zeniths = [light.sun_zenith for light in conditions]
