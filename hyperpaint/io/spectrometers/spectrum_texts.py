@@ -1300,7 +1300,7 @@ _COLUMNS = tuple(
     for pattern, quantity, scan in (
         (r"chan|pixel", None, ""),
         (r"transm|absorb", "transmittance or absorbance", "target"),
-        (r"reflect|tgt\.? ?/ ?ref", "reflectance", "target"),
+        (r"reflect|tgt\.? ?/ ?ref|^r\b[^a-z]*%", "reflectance", "target"),
         (r"irrad.*\bref\b", "irradiance", "reference"),
         (r"irrad", "irradiance", "target"),
         (r"\brad.*\bref\b", "radiance", "reference"),

@@ -100,6 +100,7 @@ REFLECTANCES: dict[str, tuple[str, str, dict[str, Any]]] = {
         ocean(columns(1.0, 9.0, 3.0, 25.0), "Jaz Data File", heading="W\tD\tR\tS\tP\n") + END,
         {"quantity": "reflectance", "scale": 100},
     ),
+    "R in percent": ("a.txt", ocean(columns(25.0), heading="lambda / nm\tR / %\n") + END, {}),
     "mode by a word": ("a.txt", ocean(columns(25.0), more="Mode: Reflection [%]\n") + END, {}),
     "mode by a word, commas": (
         "a.txt",
