@@ -840,10 +840,13 @@ class Explorer:
         # the wavelength of the band shown in the picture
         self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
         plot.add_layout(self._shown_band)
-        name = self._state.quantity.partition(" [")[0]
         value = "$y{0.000}" if self._state.is_reflectance else "$y{0.[000]}"
-        tips = [("", "@name"), ("nm" if self._state.has_wavelength else "band", "$x{0.0}"), (name, value)]
-        plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
+        tips = {
+            "": "@name",
+            "nm" if self._state.has_wavelength else "band": "$x{0.0}",
+            self._state.quantity.partition(" [")[0]: value,
+        }
+        plot.add_tools(HoverTool(renderers=[curves], tooltips=list(tips.items())))
         self._set_style(plot)
 
     def _set_style(self, plot: Any) -> None:
@@ -1010,8 +1013,12 @@ class Explorer:
         if along[0] > along[1] or across[0] > across[1]:
             return
         # extend the box by a quarter of a pixel, so that a box of one line contains its pixel centres
-        corners = [(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]
-        self._select_place(Region("box", np.array(corners)))
+        self._select_place(
+            Region(
+                "box",
+                np.array([(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]),
+            )
+        )
 
     def close(self, along: float, across: float) -> None:
         # Add the last corner of the polygon in progress, and make it a region.
@@ -1190,8 +1197,7 @@ class Explorer:
     @property
     def _selected_place(self) -> Place | None:
         name = self._selected
-        drawn = {region.name: region for region in self._state.drawn}
-        return drawn[name] if isinstance(name, str) else name
+        return {region.name: region for region in self._state.drawn}[name] if isinstance(name, str) else name
 
     def _update_spectra(self) -> None:
         import panel
@@ -1278,8 +1284,14 @@ class Explorer:
 
 
 def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
-    axes = {"nm": spectrum.wavelength, "reflectance": spectrum.reflectance}
-    return {**axes, "name": name, "colour": colour, "width": width, "dash": dash}
+    return {
+        "nm": spectrum.wavelength,
+        "reflectance": spectrum.reflectance,
+        "name": name,
+        "colour": colour,
+        "width": width,
+        "dash": dash,
+    }
 
 
 def _nearest_option(values: list[float], value: float) -> float:
@@ -1434,20 +1446,25 @@ def serve_explorer(
     @functools.cache
     def line_state(name: str) -> Explored:
         # all pages of a line share its state, so that regions survive reloading a page
-        file = region_file(name) if region_file(name).exists() else None
-        return Explored(lines[name](), file, library=paints, flightline=name)
+        file = region_file(name)
+        return Explored(lines[name](), file if file.exists() else None, library=paints, flightline=name)
 
     def page() -> Any:
-        arguments = panel.state.session_args
-        name, theme = (arguments.get(key, [b""])[0].decode("utf-8", "replace") for key in ("line", "colours"))
+        name, theme = (
+            panel.state.session_args.get(key, [b""])[0].decode("utf-8", "replace")
+            for key in ("line", "colours")
+        )
         name, theme = name if name in lines else first_name, theme if theme in INK else "light"
         # widgets and figures read the theme when they are created
         panel.config.theme = "dark" if theme == "dark" else "default"
-        explorer = Explorer(line_state(name), theme=theme, save_to=region_file(name))
-        return panel.Column(_head(line_state(name), name, lines, theme), explorer.view, **FULL_WIDTH)
+        return panel.Column(
+            _head(line_state(name), name, lines, theme),
+            Explorer(line_state(name), theme=theme, save_to=region_file(name)).view,
+            **FULL_WIDTH,
+        )
 
     line_state(first_name)  # raise reading errors before the server starts
-    interrupted = signal.getsignal(signal.SIGINT)
+    on_interrupt: Any = signal.getsignal(signal.SIGINT)
     token = secrets.token_urlsafe(32)
     server = panel.serve(
         {"/": page},
@@ -1459,7 +1476,16 @@ def serve_explorer(
         verbose=False,
         title=f"hyperpaint {first_name}",
     )
-    signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler of interrupts
+    interrupts: list[int] = []
+
+    def interrupt(number: int, frame: Any) -> None:
+        # the loop also stops where a library loses the exception, as while kernels are compiled
+        interrupts.append(number)
+        server.io_loop.asyncio_loop.call_soon_threadsafe(server.io_loop.stop)
+        on_interrupt(number, frame)
+
+    # panel replaced the handler of interrupts; one that is no function ignores them
+    signal.signal(signal.SIGINT, interrupt if callable(on_interrupt) else on_interrupt)
     # refuse requests to the server from elsewhere than its own page
     # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
     # websocket must have an origin; and every origin must be this server.
@@ -1468,17 +1494,14 @@ def serve_explorer(
     application = server._tornado
     find_handler = application.find_handler
     hosts = {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
-    origins = [f"http://{host}" for host in hosts]
 
     def find_guarded(request: Any, **options: Any) -> Any:
-        path_start = request.path.split("/", 2)[1:2]
         senders = request.headers.get_list("Origin")
-        is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
         if (
             request.host.lower() in hosts
-            and secrets.compare_digest("".join(path_start).encode(), token.encode())
-            and all(origin in origins for origin in senders)
-            and (senders or not is_websocket)
+            and secrets.compare_digest("".join(request.path.split("/", 2)[1:2]).encode(), token.encode())
+            and all(origin in {f"http://{host}" for host in hosts} for origin in senders)
+            and (senders or "websocket" not in request.headers.get("Upgrade", "").lower())
         ):
             return find_handler(request, **options)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
@@ -1486,7 +1509,12 @@ def serve_explorer(
     application.find_handler = find_guarded
     server.start()
     announce(f"http://localhost:{server.port}/{token}/")
-    server.io_loop.start()
+    try:
+        server.io_loop.start()
+    finally:
+        signal.signal(signal.SIGINT, on_interrupt)
+    if interrupts:
+        raise KeyboardInterrupt(*interrupts)
 
 
 def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:

@@ -1,5 +1,6 @@
 """``hyperpaint view`` in Chromium: click, drag, slide, draw, mend, save."""
 
+import contextlib
 import http.client
 import re
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -256,6 +258,33 @@ def test_ctrl_c_ends_it_with_one_line(served: Served) -> None:
     served.process.send_signal(signal.SIGINT)
     text, _ = served.process.communicate(timeout=30)
     assert (text.strip(), served.process.returncode) == ("stopped by SIGINT", 130)
+
+
+def test_ctrl_c_ends_it_where_a_library_loses_the_exception(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    panel = pytest.importorskip("panel")
+    hp.to_store(flight().line, tmp_path / "lot.zarr", "flightlines/raw_0")
+    stopped: list[Any] = []
+
+    class Loop:
+        asyncio_loop = SimpleNamespace(call_soon_threadsafe=stopped.append)
+        stop = "the loop's"
+
+        def start(self) -> None:
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+    server = SimpleNamespace(
+        io_loop=Loop(), port=1, _tornado=SimpleNamespace(find_handler=None), start=lambda: None
+    )
+    monkeypatch.setattr(panel, "serve", lambda *_, **__: server)
+    handler = signal.getsignal(signal.SIGINT)
+    expect_error(
+        KeyboardInterrupt, None, lambda: exploring.serve_explorer(tmp_path / "lot.zarr", announce=print)
+    )
+    assert stopped == ["the loop's"]
+    assert signal.getsignal(signal.SIGINT) is handler
 
 
 def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
