@@ -2,6 +2,7 @@
 
     python benchmarks/fleet.py --seeds tune              scenes that rules may be tuned on
     python benchmarks/fleet.py --seeds judge             others: run once, at the end, and never looked into
+    python benchmarks/fleet.py --seeds judged            those of the table in docs/figures.md
     python benchmarks/fleet.py --seeds tune --source mitsuba
     python benchmarks/fleet.py --seeds tune --rows --json results.json
 
