@@ -134,14 +134,15 @@ def test_what_does_not_fit_is_said(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_signatures_of_a_map_are_those_of_its_line(tmp_path: Path) -> None:
-    # cars of the real fleet, a third of them with flakes, in the sun: the map is flagged as the line is
+    # Cars of the real fleet, a third of them with flakes, in the sun: the map is flagged as the line is, and
+    # its cells are smaller than pixels, so that none is left out. Cells of their size leave out a tenth.
     collect = hp.simulate_collect(
         tmp_path / "collect", scene="rendered", lines=320, bands=40, columns=224, samples=4, seed=12
     )
     run("process", collect, "--out", tmp_path / "lot.zarr")
     for name, options in {"map": (), "plain": ("--no-flags",)}.items():
         out = tmp_path / f"{name}.zarr"
-        run("orthorectify", tmp_path / "lot.zarr", "--ground", 160, "--out", out, *options)
+        run("orthorectify", tmp_path / "lot.zarr", "--ground", 160, "--gsd", 0.05, "--out", out, *options)
     found = {}
     for name in ("lot", "map"):
         out = tmp_path / f"{name}_paints.zarr"
@@ -151,7 +152,7 @@ def test_signatures_of_a_map_are_those_of_its_line(tmp_path: Path) -> None:
     assert {"metallic", "pearl", "solid"} <= set(found["lot"]["finish"].values)
     assert found["map"].attrs["exclude"] == found["lot"].attrs["exclude"]
     levels = {name: library["reflectance"].mean("band").values for name, library in found.items()}
-    np.testing.assert_allclose(levels["map"], levels["lot"], rtol=0.02)
+    np.testing.assert_allclose(levels["map"], levels["lot"], rtol=0.002)
     is_glint = xr.open_zarr(tmp_path / "map.zarr")["quality"] & hp.Quality.GLINT > 0
     assert is_glint.any()
     assert not (xr.open_zarr(tmp_path / "plain.zarr")["quality"] & hp.Quality.GLINT > 0).any()
