@@ -448,4 +448,15 @@ def test_the_crown_of_a_drawn_roof_tells_its_change_with_lean() -> None:
     assert change == pytest.approx(slope / np.radians(12.0), rel=0.1)
     # mean of the curved surface below its middle, and the level part not quite in the middle
     assert error == pytest.approx(np.hypot(curvature / 3.0, 0.15 * slope), rel=0.1)
+    # few or no members, and gaps in every band, tell nothing; one band with gaps is left out
     assert change_over_crown(paint.isel(member=slice(20)), np.ones(3, bool)) is None
+    assert change_over_crown(paint.isel(member=slice(0)), np.ones(3, bool)) is None
+    gaps = np.arange(256) % 3 == np.arange(3)[:, None]
+    gapped = paint.assign(
+        member_reflectance=paint.member_reflectance.where(~xr.DataArray(gaps.T, dims=("member", "band")))
+    )
+    assert change_over_crown(gapped, np.ones(3, bool)) is None
+    one_gapped = paint.assign(
+        member_reflectance=gapped.member_reflectance.where(gapped.band == 0, paint.member_reflectance)
+    )
+    assert change_over_crown(one_gapped, np.ones(3, bool)) == pytest.approx((error, change), rel=1e-6)

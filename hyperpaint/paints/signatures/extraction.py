@@ -338,8 +338,8 @@ def change_over_crown(paint: xr.Dataset, good: npt.NDArray[np.bool_]) -> tuple[f
     spectra = paint["member_reflectance"].values[:, good]
     has_value = np.isfinite(spectra)
     has_band = has_value.sum(axis=0) > FLAKES.min_band_share * has_value.any(axis=1).sum()
-    members = spectra[:, has_band].mean(axis=1)
-    is_used = members > 0.0  # not NaN
+    members = spectra[:, has_band].sum(axis=1) / max(int(has_band.sum()), 1)
+    is_used = members > 0.0  # not NaN, and at least one band
     if is_used.sum() < ROOF_LEVELS.min_fitted_px:
         return None
     places = np.stack([paint[f"member_{dim}"].values[is_used] for dim in (ALONG_TRACK, CROSS_TRACK)], axis=1)
