@@ -128,12 +128,12 @@ class Smooth:
     param_names = ("lines",)
 
     def setup(self, lines):
-        from hyperpaint.radiometry.spectral_axis import _window_polynomials
+        from hyperpaint.radiometry.spectral_axis import window_polynomials
 
         self.counts = counts_block(lines)
         self.values = self.counts.astype(np.float32)
         self.out = np.empty_like(self.values)
-        self.polynomials = _window_polynomials(11, 2, BANDS)
+        self.polynomials = window_polynomials(11, 2, BANDS)
         self.time_box(lines)
         self.time_savitzky_golay(lines)
 

@@ -95,7 +95,7 @@ _WORDS = {
     "unitless": "1",
 }
 #: Factors of common units in headers; they save the import of pint, which takes 0.1 s.
-_USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}
+USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}
 _CF_SPELLING = "CF spelling such as 'W m-2 sr-1 nm-1'"
 # powers allowed for pint: a name or number, raised to a literal of one or two digits; no power of a power
 _POWER = re.compile(r"(?:\*\*|\^)")
@@ -191,8 +191,8 @@ def conversion_factor(found: str, wanted: str) -> float:
     """
     if found == wanted:
         return 1.0
-    if (found, wanted) in _USUAL_FACTORS:
-        return _USUAL_FACTORS[found, wanted]
+    if (found, wanted) in USUAL_FACTORS:
+        return USUAL_FACTORS[found, wanted]
     source, target = _quantity(found), _quantity(wanted)
     UnitsError.raise_if(
         source.dimensionality != target.dimensionality,

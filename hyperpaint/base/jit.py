@@ -68,7 +68,7 @@ def _borrowing_options() -> dict[str, Any]:
 
 
 @functools.cache
-def _name_by_content(py_file: str) -> str:
+def name_by_content(py_file: str) -> str:
     # Return the name of the cache folder of a module: every clone, environment and container finds it.
     #
     # numba names it by the path of the package, and does not see that a kernel in another module has changed.
@@ -80,11 +80,11 @@ def _name_by_content(py_file: str) -> str:
 
 
 class _ProvidedFolder(UserProvidedCacheLocator):  # type: ignore[misc]
-    get_suitable_cache_subpath = staticmethod(_name_by_content)
+    get_suitable_cache_subpath = staticmethod(name_by_content)
 
 
 class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
-    get_suitable_cache_subpath = staticmethod(_name_by_content)
+    get_suitable_cache_subpath = staticmethod(name_by_content)
 
 
 class _CacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
@@ -101,7 +101,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 
 # A kernel with an entry point for Python; other kernels that call it include a `_InnerKernel`.
-class _Kernel(CPUDispatcher):  # type: ignore[misc]
+class Kernel(CPUDispatcher):  # type: ignore[misc]
     _warned: ClassVar = False
 
     @global_compiler_lock  # type: ignore[untyped-decorator]
@@ -116,8 +116,8 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
                 self._cache.flush()
             self._cache = NullCache()
             entry_point = super().compile(sig)
-            if not _Kernel._warned:
-                _Kernel._warned = True
+            if not Kernel._warned:
+                Kernel._warned = True
                 warn_user(
                     f"the cache of compiled kernels cannot be used ({error}): every process compiles "
                     "them again; set NUMBA_CACHE_DIR to a writable folder with free space",
@@ -186,6 +186,6 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
         if numba.config.DISABLE_JIT
         else cast(
             "Function",
-            _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}),
+            Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}),
         )
     )

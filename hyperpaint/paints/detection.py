@@ -249,11 +249,11 @@ def make_detector(
             projection(paints, sky) if method == "spectral_angle" else projection(paints, sky, mean, shrunk)
         )
     other_distances = distances(other_paints, paints, sky)
-    limit = _distance_limits(other_distances, unknown_rate)
+    limit = distance_limits(other_distances, unknown_rate)
     exclusion_limit = np.full(len(paints), -1.0)
     if has_targets and unknown_rate < 1.0:
         # pixels that a paint explains may show this paint: exclude them from the background
-        exclusion_limit = _distance_limits(
+        exclusion_limit = distance_limits(
             other_distances, min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
         )
     sample = background.sample
@@ -322,7 +322,7 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
     return np.asarray(-np.sort(-values, axis=0)[max(_joint_rank(_ranks(-values), allowed), 1) - 1])
 
 
-def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
+def distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
     # Return distance limits (signature,) such that a share ``rate`` of other paints is within any limit.
     #
     # The limit is 0 for a paint with other paints so near that noise covers the difference; such a paint does

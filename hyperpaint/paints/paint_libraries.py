@@ -211,7 +211,7 @@ def search_library(
     if like is not None:
         # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
         nm = np.asarray(variables["wavelength"].values, np.float64)
-        spectrum = _one_spectrum(library, like, nm)
+        spectrum = one_spectrum(library, like, nm)
         if "good" in library.variables:
             spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
         SchemaError.raise_if(
@@ -265,7 +265,7 @@ def _spellings(text: str) -> tuple[str, str]:
 # --- spectra -----------------------------------------------------------------------------------------------
 
 
-def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
+def one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     # The spectrum `like` at the wavelengths of the library (band,); NaN outside its range
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]

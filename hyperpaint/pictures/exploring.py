@@ -1424,7 +1424,7 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    lines = _lines_of(Path(store))
+    lines = shown_lines(Path(store))
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     StoreError.raise_if(
         first_name not in lines,
@@ -1517,7 +1517,7 @@ def serve_explorer(
         raise KeyboardInterrupt(*interrupts)
 
 
-def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
+def shown_lines(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
     # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
     if path.is_file() and path.suffix != ".zip":
         return {path.stem: functools.partial(open_envi, path)}

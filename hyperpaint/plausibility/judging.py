@@ -1527,7 +1527,7 @@ def _judge_sample(
         .transpose(BAND, CROSS_TRACK)
         .values.astype(np.float64)
     )
-    dark, is_measured = _mean_dark(line)
+    dark, is_measured = mean_dark(line)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
         dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
@@ -1597,7 +1597,7 @@ def _product(
     )
 
 
-def _mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:
+def mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:
     # Mean dark (band, cross_track) of a line, and whether it was measured at the line's exposure. A dark that
     # is interpolated from other exposures has no measured noise.
     variables = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}

@@ -172,7 +172,7 @@ def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
     # Raises `SchemaError`: ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
     arrays = require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
     shift = np.atleast_2d(arrays["wavelength_shift"].values)
-    return NominalAxis(*_lagrange_weights(arrays["wavelength"].values, shift))
+    return NominalAxis(*lagrange_weights(arrays["wavelength"].values, shift))
 
 
 def _without_bands(dataset: xr.Dataset) -> list[str]:
@@ -187,7 +187,7 @@ def _resample(values: Array, *, first: Array, weights: Array) -> Array:
     return out
 
 
-def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
+def lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     # Return the first of four bands and their weights, (band, column[, 4]).
     bands, columns = wavelength.size, shift.shape[1]
     SchemaError.raise_if(
@@ -373,7 +373,7 @@ def _filter(
         if method == "box":
             average_slab(piece, width, filtered)
         else:
-            first, weights, fallback = _window_polynomials(width, order, size)
+            first, weights, fallback = window_polynomials(width, order, size)
             filter_slab(piece, weights, first, fallback, filtered)
         out[:, part] = filtered
     out[:, ~good] = spectra[:, ~good]
@@ -381,7 +381,7 @@ def _filter(
 
 
 @functools.cache
-def _window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
+def window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
     # Return the first band of each band's window (band,) int64, the weights of its values (band, width)
     # float32, and (band, width, width) float32, whose row k has the weights without the k-th value.
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)

@@ -1721,7 +1721,7 @@ def find_cars(pieces: Iterable[Piece], picture: Picture, progress: Progress | No
     # ``progress`` counts the pieces of the first round, which takes longest, as a share of the lines.
     # The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
     # car. A piece with less evidence is a car only outside the certain cars.
-    car_park = _CarPark(picture)
+    car_park = CarPark(picture)
 
     def order(piece: Piece) -> tuple[bool, int, tuple[int, int], int]:
         level = float(np.median(picture.level[piece.window][piece.inside]))
@@ -1743,7 +1743,7 @@ def find_cars(pieces: Iterable[Piece], picture: Picture, progress: Progress | No
     return car_park.cars
 
 
-class _CarPark:
+class CarPark:
     # Cars of a picture, and maps of the car number of every pixel, -1 without a car
     def __init__(self, picture: Picture) -> None:
         self.cars: list[Car] = []
@@ -2299,13 +2299,13 @@ def propose_regions(
     refused.sort(key=lambda verdict: verdict.scenery)
     digits = len(str(max(len(refused), 10)))
     proposed = [
-        _region(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
+        region_of(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
         for rank, (verdict, (name, place)) in enumerate(
             zip(accepted, places.of(accepted), strict=True), start=1
         )
     ][:most]
     others = [
-        _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
+        region_of(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
         for rank, verdict in enumerate(refused, start=1)
     ]
     proposals = Proposals(tuple(proposed), refused=Regions(tuple(others)))
@@ -2378,7 +2378,7 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     return channels, layers
 
 
-def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:
+def region_of(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:
     piece, measures = verdict.piece, verdict.measures
     ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.origin)
     numbers = {

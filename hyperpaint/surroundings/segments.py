@@ -67,7 +67,7 @@ def divide(channels: Floats32) -> Segments:
     size, inner_step = np.ones(parent.size, np.int32), np.zeros(parent.size, np.float32)
     order = scratch_array((int(counts.sum()),), np.int32)
     ends = [0]
-    for indices, values in _sorted_steps(steps, counts):
+    for indices, values in sorted_steps(steps, counts):
         kernels.join_segments(indices, values, columns, SEGMENTS.granularity, parent, size, inner_step)
         ends.append(ends[-1] + indices.size)
         order[ends[-2] : ends[-1]] = indices
@@ -96,7 +96,7 @@ def divide(channels: Floats32) -> Segments:
 _GROUPS = 8
 
 
-def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
+def sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
     # Yield flat indices and sizes of the finite steps (line, column, direction), ascending, in groups.
     # `counts` is the histogram of the sizes, in bins of the upper bits of float32.
     total = np.concatenate([[0], np.cumsum(counts)])

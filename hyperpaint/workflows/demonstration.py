@@ -377,11 +377,11 @@ def run_demonstration(
     )
     for problem in comparison.problems:
         say(f"  {problem}")
-    _draw(outcome.path, folder / PICTURE, say)
+    draw_comparison(outcome.path, folder / PICTURE, say)
     return comparison
 
 
-def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
+def draw_comparison(store: Path, picture: Path, say: Callable[[str], None]) -> None:
     try:
         xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}").paint.quicklook(picture)
     except MissingExtraError as error:

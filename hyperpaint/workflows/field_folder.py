@@ -267,7 +267,7 @@ def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]
         )
     for path in paths if len(paths) == 1 else ():
         try:
-            heights = _surveyed_heights(path)
+            heights = surveyed_heights(path)
         except FormatError as error:
             notes.append(f"{relative(path)} is not used: {error}")
             return None
@@ -367,7 +367,7 @@ def _instruments(
     return irradiance, references
 
 
-def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
+def surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     # heights above the ellipsoid [m]
 
     text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(

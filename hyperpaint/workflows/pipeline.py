@@ -689,7 +689,7 @@ def run(
         def planned(pending: list[str]) -> dict[str, xr.Dataset]:
             # groups to write, in tasks that fit into the memory
             accepted = refuse_findings(opened, pending, accept, lit=to == "reflectance")
-            demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
+            demand = demand_of({name: groups[name] for name in pending}, lines_a_task, client, limit)
             stack.enter_context(limited_threads(demand.threads if client is None else None))
             sources = (
                 opened_groups(opened.settings, demand.lines, parameters)[1]
@@ -843,7 +843,9 @@ def _product(dataset: xr.Dataset, name: str, to: Product) -> xr.Dataset:
 # --- where it is computed ----------------------------------------------------------------------------------
 
 
-def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
+def demand_of(
+    groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None
+) -> Demand:
     # lines per task and threads with which this process, or each worker, stays within its memory
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}

@@ -49,14 +49,14 @@ def imported(folder: Path, name: str, source: str, monkeypatch: pytest.MonkeyPat
     monkeypatch.syspath_prepend(folder)
     monkeypatch.delitem(sys.modules, name, raising=False)
     (folder / f"{name}.py").write_text(source)
-    jit._name_by_content.cache_clear()
+    jit.name_by_content.cache_clear()
     return importlib.import_module(name)
 
 
 @pytest.fixture
 def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
     # Return a function that imports the same kernel again
-    monkeypatch.setattr(jit._Kernel, "_warned", False)
+    monkeypatch.setattr(jit.Kernel, "_warned", False)
     return lambda: imported(tmp_path, "doubling", SOURCE, monkeypatch).doubled
 
 

@@ -52,8 +52,8 @@ def test_spellings(found: str, wanted: str, factor: float) -> None:
 
 
 def test_usual_factors_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = dict(facts._USUAL_FACTORS)
-    monkeypatch.setattr(facts, "_USUAL_FACTORS", {})
+    usual = dict(facts.USUAL_FACTORS)
+    monkeypatch.setattr(facts, "USUAL_FACTORS", {})
     assert usual == {pair: conversion_factor(*pair) for pair in usual}
 
 

@@ -256,7 +256,7 @@ import os, sys
 import dask, hyperpaint
 from hyperpaint.simulation.rendering import relighting
 
-original, traced = relighting._trace_rays, []
+original, traced = relighting.trace_rays, []
 
 def trace_or_die(*arguments):
     traced.append(arguments)
@@ -264,7 +264,7 @@ def trace_or_die(*arguments):
         os._exit(9)
     return original(*arguments)
 
-relighting._trace_rays = trace_or_die
+relighting.trace_rays = trace_or_die
 with dask.config.set(scheduler="synchronous"):
     hyperpaint.render_scene(*sys.argv[1:], atmospheres=["noon"])
 """
@@ -280,13 +280,13 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert done.returncode == 9
     assert "unfinished: 0 of 2 groups are written" in str(hp.verify(out))
     traced: list[int] = []
-    original = relighting._trace_rays
+    original = relighting.trace_rays
 
     def note(prepared: Any, origin: Any, rotation: Any, edges: Any, first_line: int) -> Any:
         traced.append(first_line)
         return original(prepared, origin, rotation, edges, first_line)
 
-    monkeypatch.setattr(relighting, "_trace_rays", note)
+    monkeypatch.setattr(relighting, "trace_rays", note)
     with dask.config.set(scheduler="synchronous"):
         hp.render_scene(file, out, atmospheres=["noon"])
         # blocks that were stored are not traced again

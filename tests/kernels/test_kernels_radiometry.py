@@ -8,7 +8,7 @@ from support.slab_arguments import calibrate, oracle, problem, round_values
 
 from hyperpaint.kernels.arguments import SlabOutputs
 from hyperpaint.kernels.radiometry import average_slab, filter_slab, resample_slab
-from hyperpaint.radiometry.spectral_axis import _lagrange_weights, _window_polynomials
+from hyperpaint.radiometry.spectral_axis import lagrange_weights, window_polynomials
 from hyperpaint.simulation.transport import mixing
 from hyperpaint.simulation.transport.mixing import integrate_bands
 
@@ -125,7 +125,7 @@ def test_a_cubic_is_interpolated_exactly() -> None:
         return 0.3 + 0.2 * s - 0.1 * s**2 + 0.25 * s**3
 
     for turn in (slice(None), slice(None, None, -1)):
-        first, weights = _lagrange_weights(wavelength[turn], shift)
+        first, weights = lagrange_weights(wavelength[turn], shift)
         values = cubic(own)[turn][None].astype(np.float32)
         out = np.empty(values.shape, np.float32)
         resample_slab(np.ascontiguousarray(values), first, weights, out)
@@ -145,7 +145,7 @@ def filtered(values: np.ndarray, method: str, window: int, order: int = 2) -> np
     if method == "box":
         average_slab(values, window, out)
     else:
-        first, weights, fallback = _window_polynomials(window, order, values.shape[1])
+        first, weights, fallback = window_polynomials(window, order, values.shape[1])
         filter_slab(values, weights, first, fallback, out)
     return out
 
@@ -272,7 +272,7 @@ def test_air_is_an_exponential(depth: float, in_place: bool) -> None:
 
 
 def test_the_series_and_the_exponential_meet() -> None:
-    plain = getattr(mixing._thin_air, "py_func", mixing._thin_air)
+    plain = getattr(mixing.thin_air, "py_func", mixing.thin_air)
     made = np.empty((1, 3), np.float32)
     take, metres = np.full((1, 3), 1e-3, np.float32), np.array([0.0, 80.0, 149.0], np.float32)
     plain(np.ones((1, 3), np.float32), take, np.zeros((1, 3), np.float32), metres, made)

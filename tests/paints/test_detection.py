@@ -193,7 +193,7 @@ def test_rate_of_others_is_that_of_the_limits(paints: xr.Dataset) -> None:
     others = looked_for[rng.integers(0, 3, 4000)] * rng.normal(1.0, 0.3, (4000, NM.size))
     apart = distances(others, looked_for, None)
     for rate in (1e-1, 1e-2):
-        limit = false_alarms._distance_limits(apart, rate)
+        limit = false_alarms.distance_limits(apart, rate)
         share = (apart[0] <= limit).any(axis=1).mean()
         assert 0.9 * rate <= share <= rate * 4001 / 4000
 

@@ -11,7 +11,7 @@ from support.library_examples import make_library
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
 from hyperpaint.light.daylight_colours import COLOURS, ciede2000, lab_of, parse_colour, srgb_hex
-from hyperpaint.paints.paint_libraries import _one_spectrum, paint_colours
+from hyperpaint.paints.paint_libraries import one_spectrum, paint_colours
 from hyperpaint.validation.validating import statistics_of
 
 RED = "Synthetic Signal Red"
@@ -142,7 +142,7 @@ def test_spectra_on_other_bands_and_in_other_units(paints: xr.Dataset) -> None:
         assert (names(alike), float(alike.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-7))
     # but a lost sample is what interpolation is for, and so are coarser detectors
     sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
-    assert np.isfinite(_one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
+    assert np.isfinite(one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
 
 
 def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:

@@ -110,7 +110,7 @@ def test_raw_counts_radiance_and_maps_are_explored(tmp_path: Path) -> None:
     line = flight().line
     raw = line[["counts", "wavelength"]]
     hp.io.write_envi(raw, tmp_path / "cube.hdr", interleave="bsq")
-    (opened,) = exploring._lines_of(tmp_path / "cube.hdr").values()
+    (opened,) = exploring.shown_lines(tmp_path / "cube.hdr").values()
     lit = line.drop_vars("irradiance").drop_dims(
         ["irradiance_time", "irradiance_wavelength"], errors="ignore"
     )
@@ -131,7 +131,7 @@ def test_raw_counts_radiance_and_maps_are_explored(tmp_path: Path) -> None:
     assert next(iter(bands.recipes)).startswith("band ")
     # of another program, the only cube is shown
     raw.rename(counts="rad").to_zarr(tmp_path / "other.zarr", zarr_format=2)
-    (other,) = exploring._lines_of(tmp_path / "other.zarr").values()
+    (other,) = exploring.shown_lines(tmp_path / "other.zarr").values()
     np.testing.assert_array_equal(Explored(other()).line["reflectance"], raw.counts)
     # a map is north up: its columns run to the right
     numbers = {"y": ("y", np.arange(24.0, 0.0, -1.0)), "x": ("x", np.arange(6.0))}

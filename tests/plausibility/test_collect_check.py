@@ -15,7 +15,7 @@ from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
-from hyperpaint.plausibility.judging import _mean_dark, judge_irradiance, judge_navigation
+from hyperpaint.plausibility.judging import judge_irradiance, judge_navigation, mean_dark
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collects import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -159,10 +159,10 @@ def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> 
         dark_counts=(("dark_time", "band", "cross_track"), darks.astype("float32")),
         dark_exposure_time=("dark_time", factors * exposure),
     )
-    found, is_measured = _mean_dark(several)
+    found, is_measured = mean_dark(several)
     np.testing.assert_allclose(found, bias, rtol=1e-4)
     assert not is_measured
-    assert _mean_dark(line)[1]
+    assert mean_dark(line)[1]
 
 
 def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path) -> None:

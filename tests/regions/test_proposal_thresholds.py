@@ -12,6 +12,7 @@ from hyperpaint.regions.proposals import (
     JOININGS,
     MIRRORED_SKY,
     Car,
+    CarPark,
     Footprint,
     Level,
     Measures,
@@ -21,8 +22,6 @@ from hyperpaint.regions.proposals import (
     Place,
     Roof,
     Verdict,
-    _CarPark,
-    _region,
     change_with_lean,
     find_cars,
     find_roof,
@@ -34,6 +33,7 @@ from hyperpaint.regions.proposals import (
     level_place,
     measured,
     pieces,
+    region_of,
 )
 from hyperpaint.surroundings.model import SHADED
 
@@ -132,7 +132,7 @@ def test_level__is_as_uncertain_as_its_parts(brightness: float, clouds: float) -
     judge_level(verdict, picture, 0.0, Level(), LIMITS)
     parts = [0.008, 0.0099, 0.0007 / brightness, clouds]
     assert verdict.level_sd == pytest.approx(np.hypot.reduce([*parts, sky_u / brightness]))
-    stated = _region(verdict, "roof", "", {}).properties
+    stated = region_of(verdict, "roof", "", {}).properties
     assert stated["level_uncertainty"] == pytest.approx(np.hypot.reduce(parts), abs=1e-5)
     assert stated["level_terms"][MIRRORED_SKY] == pytest.approx(sky_u / brightness, abs=1e-5)
 
@@ -493,7 +493,7 @@ def block(first: int, last: int) -> Car:
     ],
 )
 def test_pieces__belong_to_the_car_that_they_lie_on(on_paint: int, in_area: int, is_assigned: bool) -> None:
-    car_park, car = _CarPark(picture_of(number=np.zeros((40, 200)))), block(0, 100)
+    car_park, car = CarPark(picture_of(number=np.zeros((40, 200)))), block(0, 100)
     assert car.footprint is not None
     car.footprint.paint[:, 100 - on_paint :] = True
     car_park.add(car)
@@ -503,7 +503,7 @@ def test_pieces__belong_to_the_car_that_they_lie_on(on_paint: int, in_area: int,
 @pytest.mark.parametrize(("shared", "cars"), [(35, 1), (25, 2)])
 def test_footprints__that_overlap_are_of_one_car(shared: int, cars: int) -> None:
     # Expected: 0.3 of the smaller one, of 100 columns
-    car_park = _CarPark(picture_of(number=np.zeros((40, 320))))
+    car_park = CarPark(picture_of(number=np.zeros((40, 320))))
     for car in (block(0, 150), block(150 - shared, 250 - shared)):
         car_park.add(car)
     assert len(car_park.cars) == cars

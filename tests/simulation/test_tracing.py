@@ -102,13 +102,13 @@ def test_the_scene_is_prepared_once(monkeypatch: pytest.MonkeyPatch, scheduler: 
 
 def test_each_block_is_traced_once_for_all_variables(monkeypatch: pytest.MonkeyPatch) -> None:
     first_lines = []
-    task = relighting._trace_rays
+    task = relighting.trace_rays
 
     def counted(*args: Any) -> Any:
         first_lines.append(args[-1])
         return task(*args)
 
-    monkeypatch.setattr(relighting, "_trace_rays", counted)
+    monkeypatch.setattr(relighting, "trace_rays", counted)
     with dask.config.set(scheduler="synchronous"):
         traced(8, samples=1).compute()
         assert sorted(first_lines) == [0, 8, 16]

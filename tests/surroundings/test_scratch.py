@@ -12,7 +12,7 @@ from hyperpaint.base.errors import StoreError
 from hyperpaint.kernels.segmentation import count_steps
 from hyperpaint.surroundings import scratch
 from hyperpaint.surroundings.detection_rules import SEGMENTS
-from hyperpaint.surroundings.segments import _sorted_steps, sample_pixels
+from hyperpaint.surroundings.segments import sample_pixels, sorted_steps
 
 
 def test_a_survey_in_files_has_the_bits_of_one_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +64,7 @@ def test_steps_are_sorted_as_numpy_sorts_them() -> None:
     steps[3:5] = 0.0
     counts = np.zeros(1 << 15, np.int64)
     count_steps(steps.ravel(), steps.ravel().view(np.uint32), counts)
-    parts = [(places.copy(), values.copy()) for places, values in _sorted_steps(steps, counts)]
+    parts = [(places.copy(), values.copy()) for places, values in sorted_steps(steps, counts)]
     assert len(parts) > 3
     expected = np.argsort(steps.ravel(), kind="stable")[: np.isfinite(steps).sum()]
     np.testing.assert_array_equal(np.concatenate([places for places, _ in parts]), expected)

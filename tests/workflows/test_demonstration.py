@@ -66,7 +66,7 @@ def test_without_matplotlib_the_demo_says_how_to_get_a_picture(
 ) -> None:
     said: list[str] = []
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    demonstration._draw(demo[0] / "lot.zarr", tmp_path / "quicklook.png", said.append)
+    demonstration.draw_comparison(demo[0] / "lot.zarr", tmp_path / "quicklook.png", said.append)
     (text,) = said
     assert text.startswith("no picture: a quicklook needs matplotlib")
     assert text.endswith("[extra-missing]")

@@ -22,8 +22,8 @@ from hyperpaint.surroundings.surveying import flag_line, without_scene_flags
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 from hyperpaint.workflows.field_folder import (
-    _surveyed_heights,
     find_field_files,
+    surveyed_heights,
     unknown_keys,
     write_collect_toml,
 )
@@ -221,7 +221,7 @@ def test_the_ground_and_the_lens_are_those_of_the_simulator(simulated: Path, fol
 )
 def test_surveyed_heights_come_in_metres(tmp_path: Path, heading: str, metres: float) -> None:
     (tmp_path / "survey.csv").write_text(f"name,{heading}\nA,500.0\nB,500.0\n")
-    assert _surveyed_heights(tmp_path / "survey.csv").tolist() == [500.0 * metres] * 2
+    assert surveyed_heights(tmp_path / "survey.csv").tolist() == [500.0 * metres] * 2
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_a_survey_in_other_units_or_of_endless_cells_is_refused(
     tmp_path: Path, text: str, problem: str
 ) -> None:
     (tmp_path / "survey.csv").write_text(text)
-    expect_error(hp.errors.FormatError, problem, lambda: _surveyed_heights(tmp_path / "survey.csv"))
+    expect_error(hp.errors.FormatError, problem, lambda: surveyed_heights(tmp_path / "survey.csv"))
 
 
 def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:

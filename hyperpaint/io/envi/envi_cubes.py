@@ -723,7 +723,7 @@ class EnviArray(BackendArray):
                 and np.array_equal(rows, np.arange(height))
                 and np.array_equal(columns, np.arange(width))
             ):
-                self._fill(file, int(planes[0]) * height * width, samples.reshape(-1))
+                self.fill_samples(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
             else:
@@ -750,11 +750,11 @@ class EnviArray(BackendArray):
             first_line = int(lines[start])
             buffer = np.empty((int(lines[stop - 1]) - first_line + 1, columns), self.stored)
             buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
-            self._fill(file, first_line * columns + first, buffer_part)
+            self.fill_samples(file, first_line * columns + first, buffer_part)
             rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
             out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 
-    def _fill(self, file: io.FileIO, first: int, out: Array) -> None:
+    def fill_samples(self, file: io.FileIO, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.
         view = out.view(np.uint8).data
         file.seek(self.offset + first * self.stored.itemsize)

@@ -346,7 +346,7 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
 
 
 @functools.cache
-def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
+def blosc_encoder(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
     # Function that encodes an array as a blosc frame, by the package ``blosc`` or else numcodecs.
     # Both write the same bytes; ``blosc`` uses faster instructions of new processors. Tasks run in parallel,
     # so that an encoder has one thread.
@@ -382,7 +382,7 @@ def encode_chunk(
         padded = np.full(chunk, fill, dtype=block.dtype)
         padded[tuple(slice(0, size) for size in block.shape)] = block
         block = padded
-    encoded = _blosc(block.dtype.itemsize, _SHUFFLES[codec][1])(block)
+    encoded = blosc_encoder(block.dtype.itemsize, _SHUFFLES[codec][1])(block)
     return encoded, int(google_crc32c.value(encoded)).to_bytes(4, "little")
 
 

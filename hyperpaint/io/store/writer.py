@@ -111,7 +111,7 @@ _LOCK = SimpleNamespace(
     tries=20,
 )
 _MARK = "hyperpaint"
-_MARK_TEXT = b"hyperpaint builds a store here, and removes this folder in the end; nothing else belongs.\n"
+MARK_TEXT = b"hyperpaint builds a store here, and removes this folder in the end; nothing else belongs.\n"
 _NAMES = re.compile(
     r"discarded-[0-9a-f]{12}|replaced-(?P<old>.*)|build-(?P<new>.+)-(?P<content>[0-9A-Za-z_]+)-[0-9a-f]{12}"
 )
@@ -305,7 +305,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
         )
     mark = lock.with_name(_MARK)
     try:
-        mark.write_bytes(_MARK_TEXT)
+        mark.write_bytes(MARK_TEXT)
         # flushed, since a power failure could otherwise leave both files empty
         for path in (lock, mark, lock.parent):
             sync(path)
@@ -344,7 +344,7 @@ def _check_folder(lock: Path, store: Path) -> None:
             mend=f"delete it once no process writes {store}",
             code="lock-foreign",
         )
-    if files and text != _MARK_TEXT and (text != b"" or len(files) > 1):
+    if files and text != MARK_TEXT and (text != b"" or len(files) > 1):
         file_names = ", ".join(sorted(files)[:3]) + (" ..." if len(files) > 3 else "")
         raise StoreError(
             f"{folder}, the staging folder of the store, contains files of other programs: {file_names}",
@@ -523,7 +523,7 @@ class Job:
 # --- the writer of a store ---------------------------------------------------------------------------------
 
 
-class _StoreWriter:
+class StoreWriter:
     # Publishes groups one by one, then writes the manifest; created by `_writer`.
     def __init__(
         self,
@@ -702,7 +702,7 @@ def _writer(
     *,
     command: str = "",
     overwrite: bool = False,
-) -> Iterator[_StoreWriter]:
+) -> Iterator[StoreWriter]:
     # Open a store as its only writer.
     #
     # ``contents``: contents of all groups of this write; ``pending``: groups that must be written, whose
@@ -737,7 +737,7 @@ def _writer(
         if command and overwrite and (Write({}, manifest.command).source == write.source):
             groups = {name: entry for name, entry in groups.items() if location.has(name, METADATA)}
         manifest = Manifest(groups, writes, command or manifest.command)
-        yield _StoreWriter(location, stage, manifest, write, attrs, pending)
+        yield StoreWriter(location, stage, manifest, write, attrs, pending)
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
@@ -773,7 +773,7 @@ class WholeRun:
     #
     # One thread publishes a group while the next is written. Groups have no file in common, so that a killed
     # run leaves two unfinished groups or fewer.
-    def __init__(self, writer: _StoreWriter | None, location: Location, codec: computing.Codec) -> None:
+    def __init__(self, writer: StoreWriter | None, location: Location, codec: computing.Codec) -> None:
         self._writer, self._location, self._codec = writer, location, codec
         self._pool = ThreadPoolExecutor(1, "hyperpaint-place")
         self._placing: Future[None] | None = None
@@ -791,7 +791,7 @@ class WholeRun:
         job = Job(
             group,
             computing.prepare(dataset, group),
-            _token(dataset, str(dataset.attrs.get(INPUTS))),
+            token_of(dataset, str(dataset.attrs.get(INPUTS))),
             str(dataset.attrs.get(SETTINGS, "")),
             self._codec,
         )
@@ -1011,7 +1011,7 @@ def _plan(
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
         else:
-            jobs.append(Job(name, prepared, _token(dataset, source_token), codec=form[0]))
+            jobs.append(Job(name, prepared, token_of(dataset, source_token), codec=form[0]))
     return jobs, attrs
 
 
@@ -1019,7 +1019,7 @@ def check_codec(codec: str) -> None:
     one_of(codec, get_args(computing.Codec), "codec")
 
 
-def _token(dataset: xr.Dataset, source_token: str | None) -> str:
+def token_of(dataset: xr.Dataset, source_token: str | None) -> str:
     from dask.base import tokenize
 
     def content_attrs(attrs: Any) -> dict[str, Any]:
@@ -1105,7 +1105,10 @@ def check_room(
     #
     # ``tokens``: their source tokens.
     _check_disk(
-        [Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()],
+        [
+            Job(name, dataset, token_of(dataset, tokens[name]), codec=codec)
+            for name, dataset in groups.items()
+        ],
         Location.of(path),
     )
 

@@ -154,10 +154,10 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
     # trace the lines from ``start`` to before ``stop`` of a whole flight line, now
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
-    return _trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)
+    return trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)
 
 
-def _trace_rays(
+def trace_rays(
     prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
 ) -> Block:
     chosen = prepared.settings
@@ -345,7 +345,7 @@ def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
 
 
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
-    block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
+    block = trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
     return {
         name: np.ascontiguousarray(block.position[:, axis])
         for axis, name in enumerate(("east", "north", "up"))

@@ -430,14 +430,14 @@ def through_air(surface: Array, extinction: Array, path_radiance: Array, distanc
     for line in range(len(surface)):
         # decide by line, so that bits do not depend on other lines of the block
         if (max_extinction * metres[line]).max(initial=0.0) < _THIN_DEPTH:
-            _thin_air(surface[line], extinctions, added, metres[line], out[line])
+            thin_air(surface[line], extinctions, added, metres[line], out[line])
         else:
             np.multiply(surface[line], np.exp(extinctions * -metres[line]), out=out[line])
             out[line] += added * metres[line]
 
 
 @kernel
-def _thin_air(surface: Array, extinctions: Array, added: Array, metres: Array, out: Array) -> None:
+def thin_air(surface: Array, extinctions: Array, added: Array, metres: Array, out: Array) -> None:
     unity = np.float32(1.0)
     for band in range(surface.shape[0]):
         for column in range(surface.shape[1]):

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.io.store.writer import _MARK_TEXT
+from hyperpaint.io.store.writer import MARK_TEXT
 
 MEGA = 10**6
 #: Every door that takes a store.
@@ -553,7 +553,7 @@ BOMBS |= {
     name: Bomb(
         "writer",
         "lot.zarr",
-        {".partial-lot.zarr/hyperpaint": _MARK_TEXT, f".partial-lot.zarr/{place}": content},
+        {".partial-lot.zarr/hyperpaint": MARK_TEXT, f".partial-lot.zarr/{place}": content},
         OURS,
     )
     for name, (place, content) in STAGED.items()

@@ -130,7 +130,7 @@ class StoreSequence(RuleBasedStateMachine):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(writer.Staging, "publish", killed)
             if stop == "seal":
-                patch.setattr(writer._StoreWriter, "finish", interrupt)
+                patch.setattr(writer.StoreWriter, "finish", interrupt)
             try:
                 with pytest.raises(PaintError) if unsealed and stop is None else contextlib.nullcontext():
                     hp.process(self.collects[kind], self.path, to="radiance", overwrite=overwrite)

@@ -41,13 +41,13 @@ from hyperpaint.io.envi.envi_cubes import (
 def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     # Record the bytes of each read of a data file
     seen: list[int] = []
-    original = EnviArray._fill
+    original = EnviArray.fill_samples
 
     def recorded(self: EnviArray, file: Any, first: int, into: np.ndarray) -> None:
         seen.append(into.nbytes)
         original(self, file, first, into)
 
-    monkeypatch.setattr(EnviArray, "_fill", recorded)
+    monkeypatch.setattr(EnviArray, "fill_samples", recorded)
     return seen
 
 

@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.library import spectra_files
-from hyperpaint.io.store.writer import _MARK_TEXT
+from hyperpaint.io.store.writer import MARK_TEXT
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr"}
 
@@ -140,7 +140,7 @@ def test_leftovers_of_a_killed_writer__are_cleared(library: xr.Dataset, tmp_path
     build = stage / "build-%root-product-0123456789ab"
     build.mkdir(parents=True)
     (build / "paints.sli").write_bytes(b"half")
-    (stage / "hyperpaint").write_bytes(_MARK_TEXT)
+    (stage / "hyperpaint").write_bytes(MARK_TEXT)
     hp.write_library(library, tmp_path / "paints.sli")
     assert not stage.exists()
 

@@ -286,7 +286,7 @@ def test_what_a_user_adds_does_not_finish_a_run(path: Path) -> None:
 @pytest.mark.parametrize("group", ["signatures", LINES[0]])
 @pytest.mark.parametrize("point", ["publish", "finish"])
 def test_one_group_more_leaves_the_store_whole_at_every_instant(group: str, point: str, store: Path) -> None:
-    target = {"publish": "writer.Staging.publish", "finish": "writer._StoreWriter.finish"}[point]
+    target = {"publish": "writer.Staging.publish", "finish": "writer.StoreWriter.finish"}[point]
     with mock.patch(f"hyperpaint.io.store.{target}", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(line(7), store, group, overwrite=True))
     assert hp.open_store(store, LINES[1]).counts.values[0, 0, 0] == 98
@@ -310,7 +310,7 @@ def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch:
 
 def test_a_tree_is_whole_when_all_of_it_is_there(path: Path, tmp_path: Path) -> None:
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"name": "lot"}), "/a": line(1), "/b/c": line(2)})
-    with mock.patch.object(writer._StoreWriter, "finish", side_effect=KeyboardInterrupt):
+    with mock.patch.object(writer.StoreWriter, "finish", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(tree, path))
     assert hp.open_store(path, "a").counts.values[0, 0, 0] == 1  # each is there; the list in the root is not
     assert hp.verify(hp.to_store(tree, path)).ok

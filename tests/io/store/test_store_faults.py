@@ -20,7 +20,7 @@ from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
-from hyperpaint.io.store.writer import _MARK_TEXT, staging
+from hyperpaint.io.store.writer import MARK_TEXT, staging
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -125,7 +125,7 @@ def test_killed_writer(chunks_before_kill: int, path: Path, tmp_path: Path) -> N
 def test_kill_between_the_two_renames_gives_the_old_group_back(store: Path) -> None:
     partial = store.parent / f".partial-{store.name}"
     partial.mkdir()
-    (partial / "hyperpaint").write_bytes(_MARK_TEXT)
+    (partial / "hyperpaint").write_bytes(MARK_TEXT)
     os.rename(store / GROUP, partial / "replaced-flightlines%2Fraw_0")
     (partial / f"build-x-{'0' * 32}-{'0' * 12}").mkdir()  # as a writer names it
     (store / ".zarr.json.123").write_text("{")

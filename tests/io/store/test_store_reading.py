@@ -391,7 +391,7 @@ def test_chunk_has_the_bytes_that_zarr_writes(
         pytest.importorskip("blosc")
     else:
         monkeypatch.setitem(sys.modules, "blosc", None)
-    monkeypatch.setattr(computing, "_blosc", computing._blosc.__wrapped__)
+    monkeypatch.setattr(computing, "blosc_encoder", computing.blosc_encoder.__wrapped__)
     values = (np.random.default_rng(0).random((lines, 7, 11)) * 100).astype(dtype)
     encoding = computing.encoding_of(
         xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype)), codec

@@ -62,7 +62,7 @@ def test_only_what_is_taken_up_is_taken_off(
 ) -> None:
     whole = {"one": line()}
     needed = disk_needed(whole["one"])
-    content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
+    content = writer.Job("one", whole["one"], writer.token_of(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
     expect_error(StoreError, "disk-short", lambda: writer.check_room(whole, path, {"one": "token"}))
     attempt = "0" * 12

@@ -44,7 +44,7 @@ def unmarked(path: Path) -> Path:
 
 
 def partial(path: Path) -> Path:
-    (unmarked(path) / "hyperpaint").write_bytes(writer._MARK_TEXT)
+    (unmarked(path) / "hyperpaint").write_bytes(writer.MARK_TEXT)
     return unmarked(path)
 
 
