@@ -14,4 +14,5 @@ from .input_files import *
 from .mirrored_light import *
 from .old_names import *
 from .progress_reports import *
+from .remote_files import *
 from .schema import *

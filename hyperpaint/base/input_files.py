@@ -10,6 +10,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from .errors import FormatError, PaintError
+from .remote_files import as_path, discover, fetch, mirrored, open_data, origin_of, url_of
 
 #: Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows.
 MAX_NAME_BYTES = 255
@@ -17,8 +18,8 @@ MAX_NAME_BYTES = 255
 #: Bytes of a path: PATH_MAX of Linux.
 MAX_PATH_BYTES = 4096
 
-#: ``https://...``, ``dask::...``; pathlib reduces ``//`` to ``/``. A drive of Windows has one letter.
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
+#: ``dask::...``, which may start a cluster, or copy and unpack files.
+_CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
 #: Opening does not wait for the writer of a pipe, and the file does not become the controlling terminal.
 _OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
@@ -40,19 +41,22 @@ def input_path(
     path: str | os.PathLike[str],
     expected: str = "a file",
     error: type[PaintError] = FormatError,
-    instead: str = "download it, and give the path of the copy",
+    instead: str = "",
+    content: bool = True,
 ) -> Path:
     """Return the path of a local file or folder, which need not exist; its name and kind are checked.
 
-    ``expected`` names the kind of file in messages. Raises ``error``: the name holds a NUL, is longer than
-    systems allow, or is a URL, with ``instead`` as the mend; or it is a pipe, device or socket.
+    A file behind a URL is copied first, see `hyperpaint.base.remote_files`; with ``content`` false it has a
+    place, and is not copied. ``expected`` names the kind of file in messages. Raises ``error``: the name
+    holds a NUL, is longer than systems allow, or is a chained URL; or a URL where ``instead`` is the mend for
+    outputs that need a disk; or it is a pipe, device or socket. Raises `FormatError`: A URL cannot be read.
 
     Examples
     --------
-    >>> input_path("https://example.org/sky.csv", "an irradiance series")
+    >>> input_path("dask::https://example.org/sky.csv", "an irradiance series")
     Traceback (most recent call last):
-    hyperpaint.base.errors.FormatError: https://example.org/sky.csv: a URL, expected an irradiance series on \
-a local disk; download it, and give the path of the copy [url-not-local]
+    hyperpaint.base.errors.FormatError: dask::https://example.org/sky.csv: a chained URL, expected an \
+irradiance series on a disk or behind a plain URL [url-not-plain]
     """
     text = os.fsdecode(path)
     shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
@@ -72,13 +76,24 @@ a local disk; download it, and give the path of the copy [url-not-local]
         mend=_CHECK_PATH,
         code="path-too-long",
     )
+    url = url_of(path)
     error.raise_if(
-        _URL.match(text) and not ("://" not in text and _exists(text)),
+        "::" in text and url is None and _CHAINED.match(text) and not ("://" not in text and _exists(text)),
+        f"{shown}: a chained URL",
+        expected=f"{expected} on a disk or behind a plain URL",
+        code="url-not-plain",
+    )
+    error.raise_if(
+        url is not None and instead,
         f"{shown}: a URL",
         expected=f"{expected} on a local disk",
         mend=instead,
         code="url-not-local",
     )
+    text = os.fspath(as_path(text) if url is None else mirrored(url))
+    discover(text)
+    if content:
+        fetch([text])
     try:
         mode = os.stat(text).st_mode
     except (OSError, ValueError):
@@ -103,6 +118,7 @@ def _kind(mode: int) -> str:
 def is_plain_file(path: str | os.PathLike[str]) -> bool:
     # Return whether a path names a plain file; False for any name that cannot exist.
     try:
+        discover(path)
         return stat.S_ISREG(os.stat(path).st_mode)
     except (OSError, ValueError):
         return False
@@ -121,7 +137,7 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FormatError(
-            f"{file_path}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
+            f"{origin_of(file_path)}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
         ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
@@ -158,6 +174,10 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:
     # Return the first bytes of a plain file; empty where it cannot be read.
     try:
+        place = input_path(path, content=False)
+        if origin_of(place) != os.fspath(place):  # behind a URL no more than these are read
+            with open_data(place) as (data, _, _):
+                return bytes(data.read(count))
         with open_input(path, "a file") as file:
             return file.read(count)
     except (FormatError, OSError):

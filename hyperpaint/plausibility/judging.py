@@ -29,7 +29,10 @@ from hyperpaint.base import (
     Ints,
     PaintWarning,
     Problem,
+    RemoteData,
     lines_a_task,
+    open_data,
+    pieces_of,
 )
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
 from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInputs, Timing
@@ -1135,6 +1138,7 @@ LAYOUT_RULES = SimpleNamespace(
     # Number of random bands, and of pixels in a band, that are read.
     bands=24,
     pixels=64,
+    remote_pixels=16,  # behind a URL, where every sample is a request
     # Roughness (mean squared difference of neighbouring bands over twice the variance [1]) above which other
     # layouts are tried, and factor by which another layout must be smoother; observed are 30 for the right
     # interleave and 1000 for the right byte order.
@@ -1179,11 +1183,12 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
     header = read_header(header_path)
     if header.bands < 4 or header.dtype.kind not in "iu" or lines * header.samples < LAYOUT_RULES.pixels:
         return
-    with open(data_path, "rb", buffering=0) as file:
-        views = {order: _view(file, header, lines, order) for order in ("bil", "bip", "bsq")}
-    declared = views.pop(header.interleave)
-    if declared.roughness <= LAYOUT_RULES.rough:
-        return
+    with open_data(data_path) as (file, _, _):
+        declared = _view(file, header, lines, header.interleave)
+        if declared.roughness <= LAYOUT_RULES.rough:
+            return
+        others = (order for order in ("bil", "bip", "bsq") if order != header.interleave)
+        views = {order: _view(file, header, lines, order) for order in others}
     max_roughness = min(declared.roughness / LAYOUT_RULES.smoother, LAYOUT_RULES.unlike)
     if header.dtype.itemsize == 2:
         swapped = _View(*(values.astype(header.dtype).byteswap().astype(np.float64) for values in declared))
@@ -1209,12 +1214,14 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
         )
 
 
-def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
+def _view(file: io.RawIOBase, header: EnviHeader, lines: int, order: str) -> _View:
     # Read random pixels of some bands, and the same pixels of the next bands, in the given interleave
     rng = np.random.default_rng(0)
     count = min(LAYOUT_RULES.bands, header.bands - 1)
     bands = np.linspace(0, header.bands - 2, count).astype(np.int64)[:, None]
     shape = (count, LAYOUT_RULES.pixels)
+    if isinstance(file, RemoteData):  # a request for every sample takes long
+        shape = (count, LAYOUT_RULES.remote_pixels)
     line, column = rng.integers(lines, size=shape), rng.integers(header.samples, size=shape)
 
     def read_band(band: Ints) -> Floats:
@@ -1226,10 +1233,7 @@ def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
         size = header.dtype.itemsize
         # single reads: a memory map would take address space of the size of the file
         starts = (header.header_offset + size * offsets.ravel()).tolist()
-        samples = bytearray()
-        for start in starts:
-            file.seek(start)
-            samples += file.read(size)
+        samples = b"".join(pieces_of(file, starts, size))
         return np.frombuffer(samples, header.dtype).astype(np.float64).reshape(offsets.shape)
 
     return _View(read_band(bands), read_band(bands + 1))

@@ -48,7 +48,10 @@ from hyperpaint.base import (
     PaintError,
     Problems,
     SchemaError,
+    as_path,
     documented,
+    fetch,
+    input_path,
     is_number,
     is_plain_file,
     numbers_of,
@@ -418,7 +421,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     >>> read_regions(path).names
     ('hood',)
     """
-    file = Path(path)
+    file = as_path(path)
     FormatError.raise_if(
         "\0" in str(file),
         f"the path {file!s:.200} holds a NUL character",
@@ -426,7 +429,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
         code="path-invalid",
     )
     if file.suffix.lower() in VECTOR_FILES:
-        return _collection(features_of(file, MAX_REGIONS), str(file))
+        local = input_path(file)
+        fetch(local.parent.glob(f"{local.stem}.*"))  # a shapefile has companions
+        return _collection(features_of(local, MAX_REGIONS), str(file))
     raw = read_limited(file, MAX_FILE_BYTES, "GeoJSON")
     FormatError.raise_if(
         raw.count(b"[") + raw.count(b"{") > LIMITS.max_containers or raw.count(b",") > LIMITS.max_separators,
@@ -480,7 +485,7 @@ def write_regions(
     >>> [region.name for region in read_regions(path)]
     ['hood']
     """
-    file = Path(path)
+    file = as_path(path)
     document = regions_from(regions).__geo_interface__
     features = document.pop("features")
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]

@@ -31,7 +31,9 @@ from hyperpaint.base import (
     Unavailable,
     by_key,
     facts_of,
+    input_path,
     is_number,
+    origin_of,
     warn_if,
     with_numbers,
 )
@@ -697,8 +699,8 @@ def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) 
     #
     # Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
     # files; all problems are listed.
-    path = Path(path)
-    problems = Problems(f"{path} cannot be processed", CollectError)
+    path = input_path(path, "a collect.toml")
+    problems = Problems(f"{origin_of(path)} cannot be processed", CollectError)
     collect = parse_collect(path, problems, need_irradiance=need_irradiance)
     problems.raise_if_any()
     return collect
@@ -737,8 +739,8 @@ def open_with_settings(
     #
     # Raises `CollectError`: The ``collect.toml``, or one of its files, cannot be used; all problems of all
     # files are listed.
-    path = source.path if isinstance(source, Collect) else Path(source)
-    problems = Problems(f"{path} cannot be processed", CollectError)
+    path = source.path if isinstance(source, Collect) else input_path(source, "a collect.toml")
+    problems = Problems(f"{origin_of(path)} cannot be processed", CollectError)
     collect = (
         source
         if isinstance(source, Collect)

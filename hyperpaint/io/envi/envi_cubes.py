@@ -56,12 +56,15 @@ from hyperpaint.base import (
     Problem,
     Problems,
     SchemaError,
+    as_path,
     documented,
     input_path,
     is_plain_file,
     needs_extra,
     one_of,
+    open_data,
     open_input,
+    origin_of,
     same_dimension,
     takes_quantities,
     warn_if,
@@ -655,11 +658,11 @@ class Scaling:
 @dataclass(frozen=True, eq=False)
 class EnviArray(BackendArray):
     # Samples of an ENVI data file, in any order of dims, in native byte order
-    path: str  # Absolute path of the data file
-    # file_size, modified_ns: Of the file when it was opened; a read refuses a file that has changed since.
-    # dask names an array by its fields: a changed file gets another name.
+    path: str  # Absolute path of the data file, or its URL
+    # file_size, version: Of the file when it was opened (see `open_data`); a read refuses a file that has
+    # changed since. dask names an array by its fields: a changed file gets another name.
     file_size: int
-    modified_ns: int
+    version: int
     offset: int  # Bytes before the first sample
     stored: np.dtype[Any]  # Type of a stored sample, byte order included
     file_shape: tuple[int, int, int]  # Slowest axis of the file first
@@ -703,14 +706,12 @@ class EnviArray(BackendArray):
         # a view of the same memory, axes in the order of the file
         in_file_order = samples.transpose(np.argsort(self.axes))
         indices = [positions[axis] for axis in np.argsort(self.axes)]
-        with open(self.path, "rb", buffering=0) as file:
+        with open_data(self.path) as (file, size, version):
             # Raise FormatError if the file has changed since it was opened: its layout may differ.
-            status = os.fstat(file.fileno())
             FormatError.raise_if(
-                (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns),
-                f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
-                f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
-                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
+                (size, version) != (self.file_size, self.version),
+                f"ENVI data file {self.path!r} has changed since it was opened: {size} bytes",
+                expected=f"{self.file_size} bytes, not written since",
                 mend="open it again",
                 code="file-changed",
             )
@@ -730,7 +731,7 @@ class EnviArray(BackendArray):
                 self._gather(file, indices, in_file_order)
         return samples
 
-    def _gather(self, file: io.FileIO, indices: list[Ints], out: Array) -> None:
+    def _gather(self, file: io.RawIOBase, indices: list[Ints], out: Array) -> None:
         # Read blocks of file lines around the requested samples, and keep these samples.
         planes, rows, samples = indices
         columns = self.file_shape[2]
@@ -754,7 +755,7 @@ class EnviArray(BackendArray):
             rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
             out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 
-    def fill_samples(self, file: io.FileIO, first: int, out: Array) -> None:
+    def fill_samples(self, file: io.RawIOBase, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.
         view = out.view(np.uint8).data
         file.seek(self.offset + first * self.stored.itemsize)
@@ -794,7 +795,7 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     # Returns header, data: paths in the spelling of the caller.
     # Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`: There is no
     # such file.
-    path = input_path(path, "an ENVI header, or the data file beside it")
+    path = input_path(path, "an ENVI header, or the data file beside it", content=False)
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
 
@@ -958,8 +959,8 @@ def open_envi(
             ),
         ),
     )
-    status = os.stat(data_path)
-    lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
+    with open_data(data_path) as (_, file_size, version):
+        lines = _lines_in_file(header, data_path, file_size, keep_whole_lines)
     # doubts that may make values wrong
     doubts = list(header.warnings)
     if _is_unscaled(header):
@@ -996,9 +997,9 @@ def open_envi(
     order = "lbs" if header.map_info is None else "lsb"
     dims = CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
-        path=os.path.abspath(data_path),
-        file_size=status.st_size,
-        modified_ns=status.st_mtime_ns,
+        path=origin_of(os.path.abspath(data_path)),
+        file_size=file_size,
+        version=version,
         offset=offset,
         stored=header.dtype,
         file_shape=(sizes[file_axes[0]], sizes[file_axes[1]], sizes[file_axes[2]]),
@@ -1437,7 +1438,7 @@ def write_envi(
     stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in FILE_AXES[order]])
     header = _header(dataset, cube, order, grid)
     # names of data file and header
-    data_path = header_path = Path(path)
+    data_path = header_path = as_path(path)
     if data_path.suffix.lower() == ".hdr":
         data_path = header_path.with_suffix(".img")
     elif data_path.suffix.lower() in _WRITTEN_SUFFIXES:

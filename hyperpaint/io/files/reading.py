@@ -30,12 +30,19 @@ from hyperpaint.base import (
     PaintError,
     Problem,
     Problems,
+    as_path,
+    discover,
+    fetch,
     head_of,
     input_path,
     is_plain_file,
-    open_input,
+    mirrored,
+    open_data,
+    origin_of,
+    pieces_of,
     read_limited,
     shown,
+    url_of,
 )
 
 # Longest text line [byte]: tables of spectra have about 12 bytes per cell.
@@ -337,6 +344,7 @@ def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[
 
     def entries(folder_path: str) -> list[os.DirEntry[str]]:
         count_entries(1)
+        discover(folder_path)
         found: list[os.DirEntry[str]] = []
         # not a folder, or not readable: nothing in it matches
         with contextlib.suppress(OSError), os.scandir(folder_path) as listed:
@@ -420,15 +428,13 @@ def sampled_digest(path: Path) -> str:
     >>> sampled_digest(folder / "cube") == sampled_digest(folder / "copy")
     True
     """
-    with open_input(path, "a cube") as file:
-        size = os.fstat(file.fileno()).st_size
+    with open_data(input_path(path, "a cube", content=False)) as (file, size, _):
         digest = hashlib.sha256(f"{size} ".encode())
         if size <= SAMPLES * SAMPLE_BYTES:
             digest.update(file.read(SAMPLES * SAMPLE_BYTES))
         else:
-            for block in range(SAMPLES):
-                file.seek((size - SAMPLE_BYTES) * block // (SAMPLES - 1))
-                digest.update(file.read(SAMPLE_BYTES))
+            starts = [(size - SAMPLE_BYTES) * block // (SAMPLES - 1) for block in range(SAMPLES)]
+            digest.update(b"".join(pieces_of(file, starts, SAMPLE_BYTES)))
     return digest.hexdigest()[:32]
 
 
@@ -721,11 +727,11 @@ class TableReader:
         return False
 
     def path(self, place: str, key: str, value: str | None) -> Path | None:
-        # Return a path that exists, taken from the folder of the file.
+        # Return a path that exists, taken from the folder of the file; a Zarr store behind a URL is a URL.
         if value is None:
             return None
-        path = self.folder / value
-        if "\0" in value or not os.path.lexists(path):
+        path = self._place(value)
+        if path is None or not os.path.lexists(path):
             self.problems.add(
                 f"{place} {key} = {value!r}: no such file ({path})", mend=_RELATIVE, code="file-not-found"
             )
@@ -733,7 +739,21 @@ class TableReader:
         if _is_special(path):
             self._note_special(f"{place} {key} = {value!r}")
             return None
+        if (path / "zarr.json").is_file():
+            return as_path(origin_of(path))
+        fetch([] if key in _CUBES else [path])
         return path
+
+    def _place(self, text: str) -> Path | None:
+        # None for a name that cannot exist, and for a file of this machine in a file behind a URL.
+        if "\0" in text:
+            return None
+        url, is_remote = url_of(text), origin_of(self.folder) != os.fspath(self.folder)
+        path = self.folder / text if url is None else mirrored(url)
+        if url is None and is_remote:
+            path = Path(os.path.normpath(path))
+        discover(path)
+        return None if is_remote and origin_of(path) == os.fspath(path) else path
 
     def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
         # Return the files of paths and patterns, sorted by pattern; note patterns without a match.
@@ -749,8 +769,9 @@ class TableReader:
             base, pattern = (
                 (str(Path(*folders)), "/".join(parts[len(folders) :])) if self.outside else ("", text)
             )
+            folder = self._place(base) or Path(base)
             try:
-                matches = matching_files(self.folder / base, pattern)
+                matches = matching_files(folder, pattern)
             except ValueError as error:
                 self.problems.add(
                     f"{place} {key} = {shown(text)}: {error}", mend="shorten it", code="pattern-invalid"
@@ -761,10 +782,11 @@ class TableReader:
             paths += matches
             if not matches:
                 self.problems.add(
-                    f"{place} {key} = {text!r} matches no file in {self.folder / base}",
+                    f"{place} {key} = {text!r} matches no file in {folder}",
                     mend=_RELATIVE,
                     code="file-not-found",
                 )
+        fetch([] if key in _CUBES else paths)
         return tuple(dict.fromkeys(paths))
 
     def _note_special(self, found: str) -> None:
@@ -778,6 +800,8 @@ class TableReader:
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _ZARR_NAMES = {"zarr.json", "c"}
+#: Keys of cubes, which are read by ranges of bytes.
+_CUBES = ("cube", "cubes", "white", "dark")
 _RELATIVE = "paths count from the folder of this file"
 
 

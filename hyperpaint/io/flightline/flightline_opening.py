@@ -37,6 +37,7 @@ from hyperpaint.base import (
     SchemaError,
     TimeError,
     Unavailable,
+    as_path,
     conversion_factor,
     convert,
     documented,
@@ -130,7 +131,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     1,-0.25
     >>> scratch.cleanup()
     """
-    path = Path(path)
+    path = as_path(path)
     lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:
@@ -613,7 +614,7 @@ def read_reference(
         opened, path = rename_to_roles(source), None
         name = str(source.attrs.get("source", role))
     else:
-        path = Path(source)
+        path = as_path(source)
         opened, name = open_envi(path, unsaid="counts"), path.name
     FormatError.raise_if(
         "counts" not in opened,

@@ -37,6 +37,7 @@ from hyperpaint.base import (
     Progress,
     SchemaError,
     StoreError,
+    as_path,
     documented,
     head_of,
     is_number,
@@ -753,7 +754,7 @@ def write_library(
     ['red, matt', 'blue']
     >>> scratch.cleanup()
     """
-    path = Path(path)
+    path = as_path(path)
     suffix = path.suffix.lower()
     chosen = _FORMAT_OF_SUFFIX.get(suffix) if format is None else format
     if chosen not in _WRITERS:

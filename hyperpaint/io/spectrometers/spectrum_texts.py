@@ -42,6 +42,8 @@ from hyperpaint.base import (
     TimeError,
     UnitsError,
     conversion_factor,
+    discover,
+    fetch,
     input_path,
     label,
     one_of,
@@ -143,6 +145,7 @@ def find_paths(
     for entry in paths:
         path = input_path(entry, expected)
         if path.is_dir():
+            discover(path)
             # pipes and broken links are kept, so that reading reports them
             folder_files = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
             matches = of_folder(folder_files)
@@ -163,6 +166,7 @@ def find_paths(
         not files and not problems, "an empty list of files", mend="name at least one", code="empty-input"
     )
     problems.raise_if_any()
+    fetch(files)
     return files
 
 

@@ -31,6 +31,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
+import contextvars
 import ctypes
 import errno
 import functools
@@ -537,6 +538,34 @@ def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], max_pa
         return [function(item) for item in items]
     with ThreadPoolExecutor(max_parallel) as pool:
         return list(pool.map(function, items))
+
+
+def on_workers(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+    # Return the results of a function for all items: on the workers of the cluster in force, else on threads.
+    client = client_in_force()
+    if client is not None:
+        with errors_of_the_cluster("cannot read on the cluster"):
+            return list(client.gather(client.map(function, list(items), pure=False, retries=RETRIES)))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(function, items))
+
+
+def in_parallel(function: Callable[[_Item], object], items: Sequence[_Item], most: int) -> None:
+    # Call a function for all items, ``most`` at once; after an error no further calls begin.
+    if most < 2:
+        for item in items:
+            function(item)
+        return
+    # threads see the client of their caller
+    contexts = [contextvars.copy_context() for _ in items]
+    with ThreadPoolExecutor(most) as pool:
+        calls = [pool.submit(c.run, function, item) for c, item in zip(contexts, items, strict=True)]
+        try:
+            for call in concurrent.futures.as_completed(calls):
+                call.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 _HERE = -100  # AT_FDCWD

@@ -18,7 +18,6 @@ import stat
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,12 +35,14 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    mirrored,
     stamp_means,
+    url_of,
     warn_user,
 )
 
 from .budget import counted
-from .computing import whole_chunk
+from .computing import on_workers, whole_chunk
 from .manifest import (
     CONTENT,
     MANIFEST_NODE,
@@ -410,10 +411,15 @@ def place_of(path: Any) -> tuple[Location | None, Any]:
 
 
 def is_zarr(path: Any) -> bool:
-    # Return whether a path is a URL, store object, ``.zarr``, or a folder or zip file with Zarr metadata.
+    # Return whether a path is a store object, ``.zarr``, or a folder or zip file with Zarr metadata; also a
+    # URL without a suffix where nothing is found.
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
     text = os.fsdecode(path)
+    if (url := url_of(text)) is not None and not text.rstrip("/").endswith((".zarr", ".zip")):
+        text = os.fspath(mirrored(url))
+        if not os.path.lexists(text):
+            return not os.path.splitext(text)[1]
     files = (os.path.join(text, name) for name in METADATA_FILES[:3])
     if "://" in text or text.rstrip("/").endswith(".zarr") or any(map(os.path.lexists, files)):
         return True
@@ -1014,8 +1020,7 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
             return "the chunk is missing [chunk-missing]"
         return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        ends = dict(zip(keys, pool.map(end, keys), strict=True))
+    ends = dict(zip(keys, on_workers(end, keys), strict=True))
     faults = [f"/{array_path}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
     if not faults and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
         faults = [
@@ -1047,5 +1052,5 @@ def _other_chunks(location: Location, source: Any, array_path: str) -> tuple[int
         np.ndindex(*(-(-size // max(step, 1)) for size, step in zip(array.shape, array.chunks, strict=True)))
     )
     is_large = array.nbytes > LIMITS.max_chunk_bytes // 8 * len(positions)  # chunks are read one by one
-    with ThreadPoolExecutor(1 if is_large else os.cpu_count()) as pool:
-        return len(positions), [text for text in pool.map(state, positions) if text]
+    states = map(state, positions) if is_large else on_workers(state, positions)
+    return len(positions), [text for text in states if text]

@@ -184,7 +184,7 @@ def test_a_file_that_turns_into_a_pipe_is_not_waited_for(
 ) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    monkeypatch.setattr("hyperpaint.base.input_files.input_path", lambda path, _: Path(path))
+    monkeypatch.setattr("hyperpaint.base.input_files.input_path", lambda path, *_, **__: Path(path))
     with refusal(FormatError, "file-special", "a pipe", "a series"):
         open_input(pipe, "a series")
     assert head_of(pipe, 4) == b""
@@ -198,7 +198,7 @@ def test_a_folder_whose_name_reads_like_a_url_is_a_folder(
     (tmp_path / "field::day1" / "sky.txt").write_text("1")
     assert read_limited("field::day1/sky.txt", 10, "a text") == b"1"
     expect_errors(
-        (FormatError, "a URL", lambda: input_path("other::day1/sky.txt")),
+        (FormatError, "a chained URL", lambda: input_path("other::day1/sky.txt")),
         (FormatError, "file-unreadable", lambda: read_limited("a\ud800b", 10, "a text")),
     )
 

@@ -1,0 +1,373 @@
+"""Files at URLs: texts are copied when they are read, cubes are read by byte ranges.
+
+The functions of the package read files by local paths. A URL therefore gets a place in a temporary folder of
+this process, where its folder is repeated name by name: a file there is a placeholder until it is read
+(`fetch`), a folder is listed when something is looked for in it (`discover`). Data files of cubes stay
+placeholders; `open_data` reads ranges of their bytes. `UrlPath` is a URL in the form of a path, for outputs
+and for Zarr stores, which read their chunks themselves.
+
+File systems and credentials are those of fsspec: environment variables and the files of its configuration.
+"""
+
+import contextlib
+import functools
+import hashlib
+import io
+import math
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from .errors import FormatError
+
+#: ``https://...``, also after pathlib reduced ``//`` to ``/``; a drive of Windows has one letter.
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
+_FILE = re.compile(r"(?:file|local):/+")
+#: Largest sum of files that are copied at once [byte].
+MAX_COPY_BYTES = 4 * 2**30
+MAX_LISTED = 100_000
+
+
+def url_of(path: str | os.PathLike[str]) -> str | None:
+    """Return a plain URL with both of its slashes; None for the name of a local file.
+
+    Examples
+    --------
+    >>> url_of(Path("s3://bucket/flight/raw_0.hdr"))
+    's3://bucket/flight/raw_0.hdr'
+    >>> url_of("flight/raw_0.hdr"), url_of("C:/flight"), url_of("dask::s3://bucket")
+    (None, None, None)
+    """
+    text = os.fsdecode(path)
+    match = _URL.match(text)
+    if match is None or "\0" in text or _FILE.match(text):
+        return None
+    if "://" not in text and os.path.lexists(text):
+        return None
+    return f"{match[1]}://{text[match.end() :]}"
+
+
+class UrlPath(type(Path())):  # type: ignore[misc]
+    # A URL in the form of a path: its text keeps both slashes, and it never becomes relative to a folder.
+    def __str__(self) -> str:
+        return _URL.sub(r"\1://", super().__str__(), count=1)
+
+    def __fspath__(self) -> str:
+        return str(self)
+
+    def _has(self, kind: str) -> bool:
+        fs, key = file_system(str(self))
+        with _errors_of(str(self)):
+            return bool(getattr(fs, kind)(key))
+
+    def exists(self, **_: Any) -> bool:
+        return self._has("exists")
+
+    def is_dir(self, **_: Any) -> bool:
+        return self._has("isdir")
+
+    def is_file(self, **_: Any) -> bool:
+        return self._has("isfile")
+
+    def mkdir(self, *_: Any, **__: Any) -> None:
+        pass  # servers have names, not folders
+
+    def open(self, *options: Any, **named: Any) -> Any:
+        place = mirrored(str(self))
+        fetch([place])
+        return open(place, *options, **named)
+
+    def absolute(self) -> "UrlPath":
+        return self
+
+    def resolve(self, strict: bool = False) -> "UrlPath":  # noqa: ARG002
+        return self
+
+
+def as_path(path: str | os.PathLike[str]) -> Path:
+    # Return a local path, also of ``file:///...``, or the URL in the form of a path.
+    url = url_of(path)
+    return Path(re.sub(rf"^{_FILE.pattern}", "/", os.fsdecode(path))) if url is None else UrlPath(url)
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    # Return the file system of a URL, and the name of the file in it. Listings are not kept, since other
+    # processes write.
+    from fsspec.core import url_to_fs  # type: ignore[import-untyped]
+
+    with _errors_of(url):
+        fs, key = url_to_fs(url, use_listings_cache=False)
+    return fs, str(key)
+
+
+@contextlib.contextmanager
+def _errors_of(url: str) -> Iterator[None]:
+    # Every file system has its own classes of errors.
+    try:
+        yield
+    except (FileNotFoundError, FormatError):
+        raise
+    except ImportError as error:
+        raise FormatError(
+            f"{url} cannot be opened: {error}",
+            mend="install that package with python -m pip install",
+            code="dependency-missing",
+        ) from error
+    except Exception as error:
+        raise FormatError(
+            f"{url:.200} cannot be read: {type(error).__name__}: {error!s:.200}",
+            expected="a URL that fsspec can read; credentials by its usual environment variables",
+            code="url-unusable",
+        ) from error
+
+
+# --- the temporary folder, which repeats names -------------------------------------------------------------
+
+#: URLs of placeholders, by their place.
+_PLACEHOLDERS: dict[str, str] = {}
+#: State on the server of every file, by its place: it changes with the content.
+_STATES: dict[str, str] = {}
+#: Time when a folder was listed, or a file looked for [s].
+_ASKED: dict[str, float] = {}
+#: Time after which the server is asked again [s]; a step of the package asks once.
+ASK_AGAIN_S = 5.0
+
+
+@functools.cache
+def _mirror() -> tuple[Path, Any]:
+    # The object removes the folder when the process ends.
+    folder = tempfile.TemporaryDirectory(prefix="hyperpaint-")
+    return Path(folder.name), folder
+
+
+def mirrored(url: str) -> Path:
+    # Return the place of a URL in the temporary folder; what is there is known after this.
+    scheme, _, rest = url.partition("://")
+    parts = [part for part in rest.split("/") if part not in ("", ".")]
+    FormatError.raise_if(
+        ".." in parts or not parts, f"{url:.200}", expected="a URL without '..'", code="path-invalid"
+    )
+    path = _mirror()[0].joinpath(scheme, *parts)
+    discover(path)
+    return path
+
+
+def origin_of(path: str | os.PathLike[str]) -> str:
+    # Return the URL of a place in the temporary folder; other paths are returned as they are.
+    if _mirror.cache_info().currsize and Path(path).is_relative_to(_mirror()[0]):
+        scheme, *parts = Path(path).relative_to(_mirror()[0]).parts
+        return f"{scheme}://{'/'.join(parts)}"
+    return os.fspath(path)
+
+
+def discover(path: str | os.PathLike[str]) -> None:
+    # Make placeholders for a file of the temporary folder and what is beside it, or for what a folder holds.
+    place = os.fspath(path)
+    url = origin_of(place)
+    if url == place or url.count("/") < 3:
+        return
+    _list(os.path.dirname(place))
+    if os.path.isdir(place):
+        _list(place)
+    elif place not in _STATES and _is_due(place):  # servers without listings know their files
+        fs, key = file_system(url)
+        with _errors_of(url):
+            try:
+                state = fs.info(key)
+            except FileNotFoundError as error:  # also of a server that does not answer
+                if isinstance(error.__cause__, OSError):
+                    del _ASKED[place]
+                    raise error.__cause__ from None
+                return
+            if state["type"] != "directory":
+                _hold(place, url, state)
+
+
+def _is_due(place: str) -> bool:
+    now, asked = time.monotonic(), _ASKED.get(place, -math.inf)
+    _ASKED[place] = now if now - asked > ASK_AGAIN_S else asked
+    return now - asked > ASK_AGAIN_S
+
+
+def _list(folder: str) -> None:
+    url = origin_of(folder)
+    if url.count("/") < 2 or not _is_due(folder):
+        return
+    os.makedirs(folder, exist_ok=True)
+    fs, key = file_system(url)
+    rows: list[Any] = []
+    # a server may refuse to list what it gives by name
+    with contextlib.suppress(FileNotFoundError, FormatError), _errors_of(url):
+        rows = fs.ls(key, detail=True)
+    FormatError.raise_if(
+        len(rows) > MAX_LISTED,
+        f"{url:.200}: {len(rows)} files",
+        expected=f"at most {MAX_LISTED} in a folder",
+        mend="use a folder for each flight",
+        code="file-too-large",
+    )
+    listed = {str(row["name"]).rstrip("/").rpartition("/")[2]: row for row in rows}
+    for name in os.listdir(folder):  # removed on the server, or to be asked for by name
+        place = os.path.join(folder, name)
+        if name not in listed and place in _STATES:
+            forget(place)
+    for name, row in listed.items():
+        place = os.path.join(folder, name)
+        is_folder = row["type"] == "directory"
+        # buckets may have a file and a folder of one name: the first stays
+        if (
+            name in ("", ".", "..")
+            or "\0" in name
+            or (os.path.lexists(place) and os.path.isdir(place) != is_folder)
+        ):
+            continue
+        if is_folder:
+            os.makedirs(place, exist_ok=True)
+        else:
+            _hold(place, f"{url.rstrip('/')}/{name}", row)
+
+
+def _marks(state: Mapping[str, Any]) -> str:
+    # What servers tell that changes with the content of a file.
+    names = ("size", "ETag", "LastModified", "Last-Modified", "mtime", "created")
+    return "\n".join(str(state[name]) for name in names if state.get(name) is not None)
+
+
+def _hold(place: str, url: str, state: Mapping[str, Any]) -> None:
+    now = _marks(state)
+    if not now and place in _STATES and place not in _PLACEHOLDERS:  # pages that list files tell nothing else
+        fs, key = file_system(url)
+        now = _marks(fs.info(key))
+    if place in _STATES and _STATES[place] == now:
+        return
+    os.makedirs(os.path.dirname(place), exist_ok=True)
+    Path(place).write_text(f"{url} is not copied\n", encoding="utf-8")
+    _PLACEHOLDERS[place], _STATES[place] = url, now
+
+
+def forget(path: str | os.PathLike[str]) -> None:
+    # Remove what is known of a place, or of a URL that was written.
+    url = url_of(path)
+    place = os.fspath(path) if url is None else os.fspath(_mirror()[0].joinpath(*url.split("://", 1)))
+    for table in (_PLACEHOLDERS, _STATES, _ASKED):
+        table.pop(place, None)
+    _ASKED.pop(os.path.dirname(place), None)
+    with contextlib.suppress(FileNotFoundError, IsADirectoryError):
+        os.unlink(place)
+
+
+def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
+    # Copy the content of placeholders; other paths are left as they are.
+    #
+    # Raises `FormatError`: They cannot be read, or are together above `MAX_COPY_BYTES`.
+    urls = {place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS}
+    by_scheme: dict[str, list[str]] = {}
+    for place, url in urls.items():
+        by_scheme.setdefault(url.partition("://")[0], []).append(place)
+    for places in by_scheme.values():
+        fs, _ = file_system(urls[places[0]])
+        keys = [file_system(urls[place])[1] for place in places]
+        subject = urls[places[0]] if len(places) == 1 else f"{urls[places[0]]} and {len(places) - 1} more"
+        with _errors_of(subject), tempfile.TemporaryDirectory(dir=_mirror()[0]) as folder:
+            size = sum(size or 0 for size in fs.sizes(keys))
+            FormatError.raise_if(
+                size > MAX_COPY_BYTES,
+                f"{subject}: {size} bytes",
+                expected=f"at most {MAX_COPY_BYTES}",
+                mend="download it, and give the path of the copy",
+                code="file-too-large",
+            )
+            copies = [os.path.join(folder, str(number)) for number in range(len(places))]
+            fs.get(keys, copies)
+            for place, copy in zip(places, copies, strict=True):
+                shutil.move(copy, place)
+                _STATES[place] = _STATES.get(place) or _marks(fs.info(file_system(urls[place])[1]))
+                _PLACEHOLDERS.pop(place, None)
+
+
+def remote_states(url: str, only: str = "") -> list[tuple[str, str]]:
+    # Return the names of the files below a URL, and what changes with their content; ``only``: their end.
+    fs, key = file_system(url)
+    with _errors_of(url):
+        rows = fs.find(key, detail=True)
+    names = (name for name in sorted(rows) if name.endswith(only))
+    return [(name.removeprefix(key), _marks(rows[name])) for name in names]
+
+
+def byte_size(path: Path) -> int:
+    # Return the size of a file or of all files of a folder, also behind a URL [byte].
+    if (url := url_of(origin_of(path))) is not None:
+        fs, key = file_system(url)
+        with _errors_of(url):
+            return int(fs.du(key))
+    files = [path, *path.rglob("*")]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+@contextlib.contextmanager
+def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
+    # Yield a file to read ranges of its bytes, its size [byte] and a number that changes with its content.
+    #
+    # ``path``: a local file, a placeholder or a URL.
+    url = _PLACEHOLDERS.get(os.fspath(path)) or url_of(path)
+    if url is None:
+        with open(path, "rb", buffering=0) as file:
+            status = os.fstat(file.fileno())
+            yield file, status.st_size, status.st_mtime_ns
+        return
+    fs, key = file_system(url)
+    with _errors_of(url):
+        state = fs.info(key)
+        version = int.from_bytes(hashlib.sha256(_marks(state).encode()).digest()[:7])
+        size = int(state["size"])
+        yield RemoteData(fs, key, url, size), size, version
+
+
+def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
+    # Return ``size`` bytes from each of the places of a file from `open_data`; requests of a URL run at once.
+    if isinstance(file, RemoteData):
+        return file.pieces(starts, size)
+    pieces = []
+    for start in starts:
+        file.seek(start)
+        pieces.append(file.read(size))
+    return pieces
+
+
+class RemoteData(io.RawIOBase):
+    # A file behind a URL; every read is one request for a range of bytes.
+    def __init__(self, fs: Any, key: str, url: str, size: int) -> None:
+        self._fs, self._key, self._url, self._size, self._position = fs, key, url, size, 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        assert whence == os.SEEK_SET
+        self._position = offset
+        return offset
+
+    def pieces(self, starts: list[int], size: int) -> list[bytes]:
+        with _errors_of(self._url):
+            ends = [start + size for start in starts]
+            return list(self._fs.cat_ranges([self._key] * len(starts), starts, ends))
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        start, end = self._position, min(self._position + len(view), self._size)
+        if end <= start:
+            return 0
+        with _errors_of(self._url):
+            content = self._fs.cat_file(self._key, start=start, end=end)
+        FormatError.raise_if(
+            len(content) != end - start,
+            f"{self._url}: {len(content)} bytes",
+            expected=f"bytes {start} to {end}",
+            mend="the server must answer requests for ranges; else download the file",
+            code="range-missing",
+        )
+        view[: end - start] = content
+        self._position = end
+        return end - start
