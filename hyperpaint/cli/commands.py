@@ -16,7 +16,7 @@ import xarray as xr
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
-from hyperpaint.base import flags_named
+from hyperpaint.base import byte_size, flags_named, url_of
 from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.spectrometers.asd import sniff
 from hyperpaint.io.store import outside, virtual_groups
@@ -30,6 +30,7 @@ from .options import (
     FOLDER,
     PLACE,
     WRONG_INPUT,
+    Place,
     beside,
     command,
     end_with_problems,
@@ -101,7 +102,7 @@ def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
         ctx.exit(FAILED_CHECK)
 
 
-_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+_FOLDER = Place(exists=True, file_okay=False, path_type=Path)
 
 
 @command(
@@ -120,7 +121,7 @@ Examples:
     calibration={"metavar": "PATH", "type": EXISTING},
     references={
         "metavar": "PATH",
-        "type": click.Path(path_type=Path),
+        "type": PLACE,
         "multiple": True,
         "spelling": "--references --svc",
     },
@@ -282,7 +283,6 @@ Examples:
         "help": "'none' leaves reflectance to be computed from counts: half the time, a third of the disk."
     },
     alignment={"help": "Correct wavelengths between camera and record.  [default: as COLLECT.toml]"},
-    scheduler={"metavar": "ADDRESS", "help": "Compute on this dask.distributed cluster."},
     codec={"help": "'fast' compresses in half the time and takes 15 to 40 % more disk."},
     layout={"help": "'explore' splits cubes into eight band groups, for pictures of single bands."},
 )
@@ -1387,7 +1387,6 @@ Then, in Python:
         "other paints go to the remaining cars.",
     },
     hold_edges={"help": "Extend spectra beyond their last band, and bridge gaps.  [default: as SCENE.toml]"},
-    scheduler={"metavar": "ADDRESS", "help": "Compute on this dask.distributed cluster."},
 )
 @click.option("--picture", metavar="PICTURE", type=FILE, help="Draw the renders side by side (png, pdf ...).")
 @click.option(
@@ -1509,7 +1508,7 @@ def make_report(
     count = len(page.flightlines)
     lines = f"{count} flight line{'' if count == 1 else 's'}" + (f" ({names})" if names else "")
     maps = f"map {', '.join(page.maps)}" if page.maps else ""
-    texts = (lines if count or not maps else "", maps, f"{page.path.stat().st_size / 1e6:.1f} MB")
+    texts = (lines if count or not maps else "", maps, f"{byte_size(page.path) / 1e6:.1f} MB")
     click.echo(f"{page.path}: {', '.join(filter(None, texts))}")
     end_with_problems(ctx, page.problems, "cannot be read")
 
@@ -1542,7 +1541,7 @@ def site(ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, 
     """
     page = hp.report.write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
     names = ", ".join(group.rpartition("/")[2] for group in (*page.flightlines, *page.maps)) or "paints"
-    size = sum(file.stat().st_size for file in page.path.rglob("*") if file.is_file())
     look = f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000"
-    click.echo(f"{page.path}: {names}, {size / 1e6:.1f} MB\n{look}")
+    look = look if url_of(page.path) is None else "look at it: index.html, where the bucket is served by http"
+    click.echo(f"{page.path}: {names}, {byte_size(page.path) / 1e6:.1f} MB\n{look}")
     end_with_problems(ctx, page.problems, "cannot be shown")

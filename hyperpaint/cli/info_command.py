@@ -19,8 +19,12 @@ from hyperpaint.base import (
     FormatError,
     IncompleteStoreError,
     StoreError,
+    as_path,
+    byte_size,
     head_of,
     input_path,
+    origin_of,
+    url_of,
 )
 from hyperpaint.io.store import (
     RAW_FILES,
@@ -71,7 +75,9 @@ _HEAD_BYTES = 4096
 
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
     # Return the facts of `describe_path` by name; unknown facts are empty texts.
-    path = input_path(path, "a file, a folder or a store")
+    if url_of(path) is not None and is_zarr(path):
+        return dict(_store(as_path(path)))
+    path = input_path(path, "a file, a folder or a store", content=False)
     FormatError.raise_if(not path.exists(), f"{path}: no such file or folder", code="file-not-found")
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
@@ -148,7 +154,7 @@ def _envi(path: Path) -> Facts:
         return
     dataset = open_envi(path)
     name, cube = next(iter(dataset.data_vars.items()))
-    form = f"{header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}"
+    form = f"{header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(byte_size(data))}"
     exposure = exposure_seconds(header.comments, header_path.name)
     yield from (
         ("is", f"ENVI cube, {form}"),
@@ -437,7 +443,10 @@ def _collect(path: Path) -> Facts:
         else ("radiance only, because there is no irradiance", " --to radiance")
     )
     products = f"{lines_text} ({size_of(total)} of cubes), quality and {product}"
-    yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"
+    yield (
+        "process",
+        f"would store {products}:\nhyperpaint process {origin_of(path)} --out STORE.zarr{options}",
+    )
 
 
 def _store(path: Path) -> Facts:

@@ -20,13 +20,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from hyperpaint.base import as_path, url_of
+
 if TYPE_CHECKING:
     from hyperpaint.workflows.pipeline import Outcome
 
 _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}
-#: Parameters that are no options, because the command passes them.
-_HIDDEN = ("progress",)
+
+
+class Place(click.Path):
+    # A local path that is checked here, or a URL, which the function that takes it reads.
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return super().convert(value, param, ctx) if url_of(value) is None else as_path(value)
+
+
+PLACE = Place(path_type=Path)
+
+#: Parameters that are no options of a command, because it or the program passes them.
+_HIDDEN = ("progress", "scheduler")
 
 #: Maximum number of names that the help of ``--set`` lists.
 MAX_LISTED = 20
@@ -39,7 +51,7 @@ OVERRIDES: dict[str, dict[str, Any]] = {
     "flightlines": {"spelling": "--line", "metavar": "ID", "help": "Only this flight line; repeatable."},
     "lever_arm": {"metavar": "F R D"},
     "library": {"metavar": "LIBRARY"},
-    "picture": {"metavar": "PICTURE", "type": click.Path(dir_okay=False, path_type=Path)},
+    "picture": {"metavar": "PICTURE", "type": Place(dir_okay=False, path_type=Path)},
     "srf_shape": {"spelling": "--shape"},
 }
 
@@ -175,7 +187,7 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
     if "bool" in alternatives:
         return {"is_flag": True}
     if any(alternative.endswith("Path") or "PathLike" in alternative for alternative in alternatives):
-        return {"type": click.Path(path_type=Path)}
+        return {"type": PLACE}
     if isinstance(node, ast.BinOp):  # the first type of a union
         return _kind(node.left, module)
     if isinstance(node, ast.Subscript):
@@ -375,17 +387,16 @@ class Command(click.Command):
         # Write the examples, and the options that all commands take.
         super().format_epilog(ctx, formatter)
         with formatter.indentation():
-            formatter.write("\n  Every command also takes --quiet and --memory-limit SIZE.\n")
+            formatter.write(
+                "\n  Every command also takes --quiet, --memory-limit SIZE and --scheduler ADDRESS (dask).\n"
+            )
 
 
 command = functools.partial(click.command, cls=Command)
-
-
-PLACE = click.Path(path_type=Path)
-FILE = click.Path(dir_okay=False, path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
-EXISTING = click.Path(exists=True, path_type=Path)
-EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+FILE = Place(dir_okay=False, path_type=Path)
+FOLDER = Place(file_okay=False, path_type=Path)
+EXISTING = Place(exists=True, path_type=Path)
+EXISTING_FILE = Place(exists=True, dir_okay=False, path_type=Path)
 
 #: Exit statuses of a command: data fail a check; the call or an input is wrong.
 FAILED_CHECK, WRONG_INPUT = 1, 2

@@ -63,6 +63,9 @@ GROUPS = {
 #: Commands that resume an interrupted run.
 RESUMED = ("process", "render", "run")
 
+#: Options of the program that have a value.
+_WITH_VALUE = ("--memory-limit", "--scheduler")
+
 #: Commands that plan their memory, also without ``--memory-limit``.
 PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures", "site")
 
@@ -70,8 +73,8 @@ PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures",
 class Program(click.Group):
     # Commands in groups; their file is loaded when one of them is called.
     #
-    # Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
-    # after the name of the command.
+    # Errors are one message, warnings one line each. Options of the program may stand before or after the
+    # name of the command.
     def list_commands(self, _ctx: click.Context) -> list[str]:
         # Return the names of all commands, group by group.
         return [name for commands in GROUPS.values() for name in commands]
@@ -100,9 +103,9 @@ class Program(click.Group):
         end = command_arguments.index("--") if "--" in command_arguments else len(command_arguments)
         for index in reversed(range(end)):
             word = command_arguments[index]
-            if word == "--quiet" or word.startswith("--memory-limit="):
+            if word == "--quiet" or word.startswith(tuple(f"{option}=" for option in _WITH_VALUE)):
                 program_options.append(command_arguments.pop(index))
-            elif word == "--memory-limit":
+            elif word in _WITH_VALUE:
                 program_options += command_arguments[index : index + 2]
                 del command_arguments[index : index + 2]
         try:
@@ -195,11 +198,16 @@ Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong,
 )
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @click.option("--memory-limit", metavar="SIZE", help="Maximum memory, such as '2 GiB'.  [default: 80 %]")
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
 @click.version_option(__version__, prog_name="hyperpaint")
 @click.pass_context
-def main(ctx: click.Context, quiet: bool, memory_limit: str | None) -> None:  # noqa: ARG001
+def main(ctx: click.Context, quiet: bool, memory_limit: str | None, scheduler: str | None) -> None:  # noqa: ARG001
     """Turn the raw counts of a pushbroom camera into calibrated reflectance."""
     if memory_limit is not None or ctx.invoked_subcommand in PLANNED:
         from hyperpaint.io.store import budget
 
         ctx.with_resource(budget.memory_limit(memory_limit))
+    if scheduler is not None:
+        from hyperpaint.workflows.pipeline import computing_on
+
+        ctx.with_resource(computing_on(scheduler))

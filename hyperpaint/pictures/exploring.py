@@ -32,6 +32,7 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
     StoreError,
+    as_path,
     documented,
     is_plain_file,
     needs_extra,
@@ -173,7 +174,7 @@ class Explored:
         self._digests: dict[str, str] = {}
         if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
             with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
-                self._digests[os.path.realpath(regions)] = _digest(Path(regions))
+                self._digests[os.path.realpath(regions)] = _digest(as_path(regions))
         line_regions, self.others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
         self.drawn = renumbered(line_regions, self._numbered, back=True)
         self._saved_digest = self._all_regions.digest
@@ -1424,7 +1425,7 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    lines = shown_lines(Path(store))
+    lines = shown_lines(as_path(store))
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     StoreError.raise_if(
         first_name not in lines,
@@ -1436,7 +1437,7 @@ def serve_explorer(
     import panel
 
     paints = starter_library(members=0) if library is None else open_library(library)
-    stem = Path(store).resolve().stem
+    stem = as_path(store).resolve().stem
 
     def region_file(name: str) -> Path:
         # the name of the store is part, because lines of several stores may have the same name

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import ALONG_TRACK, CROSS_TRACK, Array, SchemaError, needs_extra, numbers_of
+from hyperpaint.base import ALONG_TRACK, CROSS_TRACK, Array, SchemaError, as_path, needs_extra, numbers_of
 from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60
@@ -121,7 +121,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
     # written.
     if path is None:
         return figure
-    path = Path(path)
+    path = as_path(path)
     if not path.suffix:  # as matplotlib does
         path = path.with_name(f"{path.name}.{figure.canvas.get_default_filetype()}")
     with (

@@ -31,6 +31,7 @@ from hyperpaint.base import (
     Problems,
     Quality,
     SchemaError,
+    as_path,
     documented,
     find,
     flag_names,
@@ -1758,7 +1759,7 @@ def calibration_report(
     rows = -(-6 // columns)
     figure = new_figure("a calibration report", figsize=(width, 4.6 * rows), layout="constrained")
     if path is not None:
-        check_picture(Path(path))
+        check_picture(as_path(path))
     values = _values(calibration, sweep, column)
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     is_trusted, is_good = values["line_trusted"], values["good"]

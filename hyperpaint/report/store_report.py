@@ -41,6 +41,7 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
     StoreError,
+    as_path,
     documented,
     numbers_of,
     part_of,
@@ -178,8 +179,8 @@ def write_report(
     ('flightlines/raw_0',)
     """
     new_figure("a report")  # before anything is read
-    page_path = Path(out)
-    check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
+    page_path = as_path(out)
+    check_place(page_path, "the report", example="report.html", store=as_path(store), overwrite=overwrite)
     for option, value, least in (("max_lines", max_lines, 1), ("cards", cards, 0)):
         SchemaError.raise_if(
             value < least, f"{option}={value}", expected=f"{least} or more", code="value-out-of-range"
@@ -208,7 +209,7 @@ def write_report(
     sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
     sections += [(name, library_section(paints)) for name, paints in libraries.items()]
     if has_validation:
-        known = {} if library is None or validation is None else {Path(library).name: validation}
+        known = {} if library is None or validation is None else {as_path(library).name: validation}
         sections.append(("validation", validation_section(libraries, references, known)))
     if calibration is not None:
         sections.append(("calibration", calibration_section(calibration)))
@@ -233,7 +234,7 @@ def write_report(
         drawn_sections.append((name, markups))
     created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(group.attrs["collect"]) for group in groups.groups.values() if "collect" in group.attrs]
-    title = Path(store).resolve().name
+    title = as_path(store).resolve().name
     facts = {
         "store": title,
         "collect": ", ".join(dict.fromkeys(collects)),
@@ -335,7 +336,7 @@ def groups_to_show(
         )
         lines = {key: lines[key] for key in keys.values() if key is not None}
     maps = {
-        name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
+        name or as_path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
     }
     libraries = {name: group for name, group in groups.items() if _is_library(group)}
     if signatures is not None:
@@ -934,9 +935,9 @@ def write_site(
         expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
         code="link-invalid",
     )
-    folder = Path(out)
+    folder = as_path(out)
     StoreError.raise_if(
-        Path(store).resolve() in (folder.resolve(), *folder.resolve().parents),
+        as_path(store).resolve() in (folder.resolve(), *folder.resolve().parents),
         f"{out} is in the store itself",
         mend="choose another path",
         code="path-in-store",

@@ -19,6 +19,7 @@ from hyperpaint.base import (
     FormatError,
     PaintWarning,
     SchemaError,
+    as_path,
     documented,
     label,
     one_of,
@@ -62,7 +63,7 @@ def calibrate_sweep(
         calibration = calibrate(sweep, progress=progress, **options)
     except SchemaError as error:
         raise error.about(str(path)) from error
-    return calibration.assign_attrs(sweep=Path(path).name)
+    return calibration.assign_attrs(sweep=as_path(path).name)
 
 
 def write_calibration(
@@ -83,19 +84,19 @@ def write_calibration(
     # `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or
     # holds other data.
     SchemaError.raise_if(
-        Path(out).resolve() == Path(sweep).resolve(),
+        as_path(out).resolve() == as_path(sweep).resolve(),
         f"{out} is the sweep itself",
         mend="choose another path for the calibration",
         code="output-is-input",
     )
     if picture is not None:
-        check_picture(Path(picture))
+        check_picture(as_path(picture))
     calibration = calibrate_sweep(sweep, progress=progress, **options)
-    to_store(calibration, Path(out), overwrite=overwrite)
+    to_store(calibration, as_path(out), overwrite=overwrite)
     if picture is not None:
         from hyperpaint.pictures.plot import calibration_report
 
-        calibration_report(calibration, open_sweep(sweep), Path(picture))
+        calibration_report(calibration, open_sweep(sweep), as_path(picture))
     return calibration
 
 

@@ -31,6 +31,7 @@ from hyperpaint.base import (
     Problems,
     SchemaError,
     StoreError,
+    as_path,
     flags_named,
     one_of,
     part_of,
@@ -108,7 +109,7 @@ def write_signatures(
     # `hyperpaint.surroundings.flag`; or ``keep`` holds an unknown flag, or is combined with ``exclude``.
     # Raises `StoreError`: The store lacks a flight line of the regions; or the library cannot be written, or
     # ``out`` holds other data and ``overwrite`` is False.
-    library_path, store_path = Path(out).resolve(), Path(store).resolve()
+    library_path, store_path = as_path(out).resolve(), as_path(store).resolve()
     SchemaError.raise_if(
         library_path == store_path or store_path in library_path.parents,
         f"{out} is in the store itself",
@@ -196,7 +197,7 @@ def write_signatures(
     library.attrs |= {"store": store_path.name, "flags": "; ".join(dict.fromkeys(origins.values()))}
     if refused:
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
-    to_store(library, Path(out), overwrite=overwrite)
+    to_store(library, as_path(out), overwrite=overwrite)
     return library
 
 
@@ -303,7 +304,7 @@ def validate_files(
     certificate = None if panel is None else read_certificate(panel)
     if not references:
         name = signatures.attrs.get("store")
-        store = Path(library).absolute().parent / str(name)
+        store = as_path(library).absolute().parent / str(name)
         # a plain name only: a path stored in a file must not lead out of the folder
         is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
         SchemaError.raise_if(
@@ -329,7 +330,7 @@ def write_table(validation: Validation, path: str | os.PathLike[str], *, overwri
     # Write the statistics of a validation: ``.csv``, with a row for every part of every pair, or ``.json``.
     #
     # Numbers have all digits; missing values are empty, or null. Raises `StoreError` as `check_table`.
-    path = Path(path)
+    path = as_path(path)
     check_table(path, overwrite=overwrite)
     statistics, between = validation.statistics, validation.between
     names = _names_by_part(statistics)
@@ -485,7 +486,7 @@ def run_field_day(
         else:
             one_of(name, list(STEPS)[1:], "skip", problems=problems)
     problems.raise_if_any()
-    path = Path(collect)
+    path = as_path(collect)
     if path.is_dir():
         path = path / "collect.toml"
         CollectError.raise_if(
@@ -495,12 +496,12 @@ def run_field_day(
             code="collect-missing",
         )
     settings = read_collect(path)
-    folder = store_of(path).parent if out is None else Path(out)
+    folder = store_of(path).parent if out is None else as_path(out)
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
     # check this before hours of processing
     SchemaError.raise_if(
-        regions is not None and not Path(regions).exists(),
+        regions is not None and not as_path(regions).exists(),
         f"regions {regions}: no such file",
         mend="check the path",
         code="file-not-found",

@@ -29,6 +29,7 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    input_path,
     key_line,
     read_limited,
     toml_text,
@@ -156,7 +157,9 @@ def find_field_files(
     and white references if it is called ``white``, ``WHITEREF_...``, ``whiteReference`` or similar.
     ASD files of a folder are irradiance or reflectance by the content of the first.
     """
-    folder, notes = Path(folder), list[str]()
+    copying = "copy its folder; a collect.toml may name files behind URLs"
+    folder = input_path(folder, "the folder of a flight", CollectError, copying)
+    notes: list[str] = []
     raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
     # spectra by the file or the pattern of files that names them in the collect.toml
     spectra: dict[Path, list[Path]] = {}

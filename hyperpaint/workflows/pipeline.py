@@ -24,13 +24,11 @@ import hashlib
 import itertools
 import json
 import os
-import re
 import shlex
 import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
@@ -58,12 +56,16 @@ from hyperpaint.base import (
     Problems,
     SchemaError,
     StoreError,
+    as_path,
     documented,
     flag_shares,
     flags_set_from,
     needs_extra,
     one_of,
+    origin_of,
     read_limited,
+    remote_states,
+    url_of,
     warn_user,
 )
 from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
@@ -100,10 +102,12 @@ from hyperpaint.io.store import (
     content_of,
     errors_of_the_cluster,
     groups_above,
+    in_parallel,
     is_complete,
     is_virtual,
     limited_threads,
     numerics_of,
+    on_workers,
     open_group,
     open_virtual,
     parse_size,
@@ -133,10 +137,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-#: A URL of fsspec, also one that was converted to a `Path`; not the letter of a drive.
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
-
-
 @dataclass(frozen=True)
 class Outcome:
     # Groups that a run wrote or found complete.
@@ -145,18 +145,6 @@ class Outcome:
     unchanged: tuple[str, ...]  #: Groups that were complete, from the same inputs and parameters.
     #: Corrections between camera and irradiance record, by the group of the flight line.
     corrected: Mapping[str, str] = field(default_factory=dict)
-
-
-def local_folder(out: str | Path, command: str) -> Path:
-    # Return the store's folder; refuse a URL (`StoreError`).
-    StoreError.raise_if(
-        _URL.match(os.fspath(out)),
-        f"{command} writes to a folder, not to {os.fspath(out)!r}",
-        mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
-        "which accepts URLs (guide, 'Object stores')",
-        code="output-is-url",
-    )
-    return Path(out)
 
 
 def paths_in(settings: Any) -> Iterator[Path]:
@@ -176,10 +164,11 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     # ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
     # inputs.
     output = out.resolve()
+    inputs = (as_path(origin_of(path)).resolve() for path in paths_in(settings))
     problems = Problems(
         f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
     )
-    for path in dict.fromkeys(map(Path.resolve, paths_in(settings))):
+    for path in dict.fromkeys(inputs):
         relation = "is" if output == path else "holds" if output in path.parents else "lies in"
         problems.add_if(
             relation != "lies in" or (path in output.parents and path.is_dir()),
@@ -289,28 +278,47 @@ def write_groups(
     # The first slab of every line shows impossible values before anything is written. On a cluster whose
     # workers share a cache this also compiles the kernels once.
     problems = Problems(f"{source} cannot be processed", CollectError)
-    for name, dataset in products.items():
-        if "quality" in dataset.variables:
-            try:
-                with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
-                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(
-                        **({} if client is None else {"retries": RETRIES})
-                    )
-            except StoreError:  # a fault of the cluster, not of the data
-                raise
-            except (PaintError, OSError) as error:
-                problems.add_error(f"/{name}", error)
+
+    def first_slab(name: str) -> None:
+        try:
+            with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
+                products[name]["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(
+                    **({} if client is None else {"retries": RETRIES})
+                )
+        except StoreError:  # a fault of the cluster, not of the data
+            raise
+        except (PaintError, OSError) as error:
+            problems.add_error(f"/{name}", error)
+
+    at_once = _groups_at_once(client, products)
+    lines = [name for name, dataset in products.items() if "quality" in dataset.variables]
+    for names in (lines[:1], lines[1:]):
+        in_parallel(first_slab, names, at_once)
     problems.raise_if_any()
-    resumed = finishing_command(f"{command} {quote(str(Path(source).absolute()))}", options)
+    resumed = finishing_command(f"{command} {quote(str(as_path(origin_of(source)).absolute()))}", options)
     with whole_run(
         out, run_contents(groups), products, attrs, command=resumed, overwrite=overwrite, codec=codec
     ) as turn:
-        for name, dataset in products.items():
+
+        def write(name: str) -> None:
             if announce is not None and (line := announce(name)):
                 sys.stderr.write(line)
-            dataset = dataset if from_stored is None else from_stored(name, turn)
-            turn.write(name, dataset, progress=announce is not None)
+            dataset = products[name] if from_stored is None else from_stored(name, turn)
+            turn.write(name, dataset, progress=announce is not None and at_once == 1)
+
+        names = list(products)
+        for group in (names[:1], names[1:]):  # the others may need the first
+            in_parallel(write, group, at_once)
     return Outcome(out, tuple(products), tuple(complete))
+
+
+def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> int:
+    # Number of groups that keep all threads of a cluster busy; 1 on the threads of this process.
+    if client is None:
+        return 1
+    tasks = [len(group.chunksizes.get(ALONG_TRACK, ())) for group in groups.values()]
+    threads: int = sum(client.nthreads().values())
+    return max(1, min(len(groups), 2 * threads // max(1, *tasks)))
 
 
 # --- where it is computed ---
@@ -434,7 +442,7 @@ class Record:
         # ``overwrite``: whether to replace files that another program wrote or changed.
         inputs, listed = digest_of([version_of_program(), name, inputs]), ", ".join(map(str, paths))
         entry, states = self.entries().get(name), states_of(paths)
-        if entry == {"inputs": inputs, "products": states} and all(map(Path.exists, paths)):
+        if entry == {"inputs": inputs, "products": states} and all(path.exists() for path in paths):
             return StepOutcome(name, "unchanged", listed, paths)
         recorded = (entry or {}).get("products") or {}
         foreign = [path for path in paths if path.exists() and states[path.name] != recorded.get(path.name)]
@@ -466,6 +474,10 @@ def states_of(paths: Iterable[Path]) -> dict[str, str]:
     # The metadata of a store contain checksums of its chunks. The checksum of a missing path is empty.
     states: dict[str, str] = {}
     for path in paths:
+        if (url := url_of(path)) is not None:
+            sums = remote_states(url, only="zarr.json" if (path / "zarr.json").is_file() else "")
+            states[path.name] = f"{_HASH}:{digest_of(sums)}" if sums else ""
+            continue
         pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"
         files = [path] if path.is_file() else sorted(filter(Path.is_file, path.rglob(pattern)))
         sums = []
@@ -673,7 +685,7 @@ def run(
     )
     problems.raise_if_any()
     check_codec(codec)
-    out = local_folder(out, "process")
+    out = as_path(out)
     limit = None if memory_limit is None else parse_size(memory_limit)
     parameters: dict[str, Any] = {"to": to, "reflectance": reflectance, "alignment": alignment}
     parameters |= {"flags": True} if flags else {}
@@ -749,7 +761,7 @@ def run(
     # warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have
     line_names = (name for name, line in aligned.items() if ALONG_TRACK in line.dims)
     for name in (name for name in line_names if (out / name / "quality").exists()):
-        quality = zarr.open_array(out / name / "quality", mode="r", zarr_format=3)
+        quality = zarr.open_array(os.fspath(out / name / "quality"), mode="r", zarr_format=3)
         shares: Counter[str] = Counter()
         for start in range(0, quality.shape[0], _LINES_A_READ):
             # every scene has shadows and edges
@@ -906,7 +918,7 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
         f"{location.url} was not written by hyperpaint process and has no record of inputs",
         code="inputs-unrecorded",
     )
-    source = Path(command[2]) if collect is None else collect
+    source = as_path(command[2] if collect is None else collect)
     StoreError.raise_if(
         not source.is_file(),
         f"{source}, the collect of {store}, does not exist",
@@ -954,8 +966,7 @@ def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> I
             "" if is_equal else f"/{group}: {name}, lines {start} to {end}: differs from the stored samples"
         )
 
-    with ThreadPoolExecutor() as pool:
-        yield from filter(None, pool.map(block_problem, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))
+    yield from filter(None, on_workers(block_problem, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))
 
 
 _COPYING = SimpleNamespace(
@@ -1023,7 +1034,13 @@ def virtualise(
     --------
     >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
     """
-    out = local_folder(out, "virtual")
+    StoreError.raise_if(
+        url_of(out) is not None,
+        f"virtual writes to a folder, not to {os.fspath(out)!r}",
+        mend="write to a folder, and copy it",
+        code="output-is-url",
+    )
+    out = Path(out)
     refuse_kerchunk(out, write=True)
     if prefix is not None:
         check_url(prefix)
@@ -1115,7 +1132,7 @@ def _cubes(
                         code="counts-not-raw",
                     )
                 arrays.append(array)
-            files = tuple(_raw_file(Path(array.path), base, prefix) for array in arrays)
+            files = tuple(_raw_file(as_path(array.path), base, prefix) for array in arrays)
             cubes[name] = _cube(line, arrays, files)
         except (FormatError, StoreError) as error:
             problems.add_error(f"/{name}", error)
@@ -1125,8 +1142,9 @@ def _cubes(
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     # the local file, or its copy below the URL ``prefix``
-    local = RawFile.of(f"file://{os.path.realpath(path)}")
-    if prefix is None:
+    url = url_of(path)
+    local = RawFile.of(url or f"file://{os.path.realpath(path)}")
+    if prefix is None or url is not None:
         return local
     StoreError.raise_if(
         not path.is_relative_to(base),

@@ -67,6 +67,7 @@ from hyperpaint.base import (
     StoreError,
     arguments_of,
     as_argument,
+    as_path,
     by_key,
     documented,
     fact,
@@ -77,6 +78,7 @@ from hyperpaint.base import (
     read_limited,
     round_bits,
     shown,
+    url_of,
     warn_user,
 )
 from hyperpaint.io.dirsig import write_dirsig_scene
@@ -129,7 +131,6 @@ from .pipeline import (
     Outcome,
     computing_on,
     digest_of,
-    local_folder,
     refuse_to_write_over,
     write_groups,
 )
@@ -304,7 +305,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     #
     # Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, missing keys or
     # files; all problems are listed.
-    path = Path(path)
+    path = input_path(path, "a scene.toml")
     raw = load_tables(path, "a scene.toml")
     problems = Problems(f"{path} cannot be rendered", FormatError)
     named = {
@@ -585,7 +586,8 @@ def read_spectra(path: Path) -> Any:
     #
     # A file of two columns gives (wavelength [nm], reflectance) in double precision; other files are
     # libraries. Raises `FormatError` or `StoreError` as `read_paints`.
-    if input_path(path, "spectra").is_file() and path.suffix.lower() in _TABLE_SUFFIXES:
+    path = input_path(path, "spectra")
+    if path.is_file() and path.suffix.lower() in _TABLE_SUFFIXES:
         try:
             return read_spectrum_csv(path)
         except FormatError as plain:
@@ -1134,7 +1136,7 @@ def run(
     progress: bool = False,
 ) -> Outcome:
     # Render a scene, as `render_scene` does with the same arguments, and return the groups written.
-    out = local_folder(out, "render")
+    out = as_path(out)
     file, problems = read_scene_file(path), Problems("cannot render", SchemaError)
     if samples is not None:
         if SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples):
@@ -1145,14 +1147,14 @@ def run(
     problems.raise_if_any()
     changes: dict[str, Any] = {"product": to, "hold_edges": hold_edges}
     file = dataclasses.replace(file, **{name: value for name, value in changes.items() if value is not None})
-    refuse_to_write_over(out, (file, library and Path(library)), "render")
+    refuse_to_write_over(out, (file, library and as_path(library)), "render")
     # a rough check before the scene is built; `check_room` is exact
-    folder = next(parent for parent in out.absolute().parents if parent.exists())
+    folder = next(parent for parent in Path(out).absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
     min_bytes = pixels * (
         MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", SimulationSettings.bands)
     )
-    free_bytes = shutil.disk_usage(folder).free
+    free_bytes = shutil.disk_usage(folder).free if url_of(out) is None else min_bytes
     StoreError.raise_if(
         min_bytes > free_bytes,
         f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
@@ -1163,7 +1165,7 @@ def run(
     parts = build_parts(file)
     if library is not None:
         # paints of the file take precedence over those of the library
-        paints = by_name(read_paints(Path(library)))
+        paints = by_name(read_paints(as_path(library)))
         file = dataclasses.replace(
             file, paints={**assigned_paints(SceneRecord.of(parts.scene), list(paints)), **file.paints}
         )
@@ -1238,7 +1240,7 @@ def run(
                 "--to": to,
                 "--atmosphere": list(atmospheres),
                 "--overwrite": overwrite,
-                "--library": library and Path(library).absolute(),
+                "--library": library and as_path(library).absolute(),
                 "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
             },
             from_stored=from_stored,
@@ -1362,7 +1364,7 @@ def export_dirsig_scene(
     ...     export_dirsig_scene(path, Path(folder, "out")).material_id.values.tolist()
     ['grass']
     """
-    file = read_scene_file(Path(scene_file))
+    file = read_scene_file(as_path(scene_file))
     parts = build_parts(file)
     repaint = dict(file.paints)
     libraries = [] if library is None else [library]

@@ -309,7 +309,6 @@ def test_calls_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         (SchemaError, "samples=1000000000000", lambda: render(out, samples=10**12)),
         (SchemaError, "to='reflectance'", lambda: render(out, to="reflectance")),
         (SchemaError, unknown, lambda: render(out, atmospheres=["dusk"])),
-        (StoreError, "output-is-url", lambda: render("s3://bucket/out.zarr")),
     )
     # spectra that no paint has
     file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')

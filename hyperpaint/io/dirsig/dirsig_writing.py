@@ -30,8 +30,8 @@ from hyperpaint.base import (
     Problem,
     Problems,
     SchemaError,
-    StoreError,
     Variable,
+    as_path,
     documented,
     is_number,
     mirror_reflection,
@@ -298,7 +298,6 @@ _EXPORT_NAME = re.compile(
 )
 
 _MAX_BYTES = 256 * 2**20
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 #: Texts of exports, templates of this folder; ``escaped`` and ``quoted`` are for XML.
 TEXTS = jinja2.Environment(
@@ -319,14 +318,6 @@ def export_folder(
     # be replaced; ``inside``: folders that are created in it.
     # Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
     # process writes there; or it cannot be written.
-    StoreError.raise_if(
-        _URL.match(os.fspath(folder)),
-        f"{os.fspath(folder)!r} is a URL",
-        expected="a folder",
-        mend="write to a folder and copy it",
-        code="folder-is-url",
-    )
-
     def foreign(existing: Path) -> str:
         # Description of files that no export contains, empty for an export
         try:
@@ -338,7 +329,7 @@ def export_folder(
         names = sorted(path.name for path in existing.iterdir() if not _EXPORT_NAME.fullmatch(path.name))
         return f"{names[0]}, which no export has" if names else ""
 
-    with published_folder(Path(os.path.abspath(folder)), overwrite=overwrite, foreign=foreign) as build:
+    with published_folder(as_path(folder).absolute(), overwrite=overwrite, foreign=foreign) as build:
         for name in inside:
             (build / name).mkdir(parents=True)
         yield build

@@ -33,7 +33,16 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hyperpaint.base import PaintError, Problem, Problems, StoreError, is_plain_file
+from hyperpaint.base import (
+    PaintError,
+    Problem,
+    Problems,
+    StoreError,
+    file_system,
+    forget,
+    is_plain_file,
+    url_of,
+)
 from hyperpaint.io.store import (
     Staging,
     discard,
@@ -64,8 +73,10 @@ def check_place(
     # Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
     # allowed suffixes, any by default; the file may not be inside ``store``.
     problems = Problems(f"{product} cannot be written to {path}", error)
+    is_local = url_of(path) is None
     with _errors_of(path):
-        _recover(path)
+        if is_local:
+            _recover(path)
     folder = path.absolute().parent
     is_inside = store is not None and store.resolve() in (path.resolve(), *path.resolve().parents)
     problems.raise_if_any(
@@ -96,7 +107,7 @@ def check_place(
                 code="file-exists",
             ),
         ),
-        (not folder.is_dir(), Problem(f"there is no folder {folder}", code="folder-missing")),
+        (is_local and not folder.is_dir(), Problem(f"there is no folder {folder}", code="folder-missing")),
     )
 
 
@@ -127,6 +138,10 @@ def published_files(
     #
     # Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
     # written by another process; or the system refuses. Existing files stay.
+    if url_of(targets[-1]) is not None:
+        with _uploaded(targets, overwrite=overwrite, is_folder=foreign is not None) as paths:
+            yield paths
+        return
     if len({target.parent for target in targets}) > 1:  # one spelling per folder
         targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
     key, anchors, builds = targets[-1], _anchors(targets), {}
@@ -163,6 +178,34 @@ def published_files(
         else:
             os.replace(temporary_paths[0], key)
             sync(key.parent)
+
+
+@contextlib.contextmanager
+def _uploaded(targets: Sequence[Path], *, overwrite: bool, is_folder: bool) -> Iterator[list[Path]]:
+    # Yield temporary paths, which are uploaded if the block succeeds, the key last: a server replaces a file
+    # in one step. Of a folder other files stay, and its page is last.
+    existing = [str(target) for target in targets if target.exists()]
+    StoreError.raise_if(
+        existing and not overwrite,
+        f"{', '.join(existing)} exist{'s' if len(existing) == 1 else ''}",
+        mend="pass overwrite=True, or choose another path",
+        option="pass --overwrite, or choose another path",
+        code="file-exists",
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder, str(number), target.name) for number, target in enumerate(targets)]
+        for path in paths:
+            path.parent.mkdir()
+        yield paths
+        for path, target in zip(paths, targets, strict=True):
+            files = sorted(filter(Path.is_file, path.rglob("*")), key=lambda file: file.suffix == ".html")
+            for file in files if is_folder else [path]:
+                fs, key = file_system(os.fspath(target / file.relative_to(path)))
+                with StoreError.instead_of(
+                    Exception, f"{target} cannot be written: $kind: $error", code="file-unwritable"
+                ):
+                    fs.put_file(str(file), key)
+                forget(target)
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:

@@ -40,6 +40,7 @@ from hyperpaint.base import (
     Problem,
     Problems,
     SchemaError,
+    as_path,
     documented,
     head_of,
     needs_extra,
@@ -934,7 +935,7 @@ def write_geotiff(
     >>> write_geotiff(map, Path(tempfile.mkdtemp(), "red.tif"), variable="red").name
     'red.tif'
     """
-    path = Path(path)
+    path = as_path(path)
     with published_files([path], overwrite=overwrite) as (target,):
         draw_geotiff(map, target, path, variable, bands, cog, stretch, progress)
     return path

@@ -28,6 +28,7 @@ import re
 import shutil
 import stat
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -408,10 +409,11 @@ def to_store(
 
     Free disk and memory are checked before anything is written, without reading a value.
 
-    At a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: the group is written at its path
-    and always from the start, with its metadata and the manifest last, and the caller must ensure a single
-    writer. To a store object of zarr, such as that of an icechunk session, xarray writes the group in the
-    same encoding but without a manifest, since such stores have transactions.
+    At a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: a group is written from the
+    start, with its metadata and the manifest last, and the caller must ensure a single writer. An old group
+    stays until the new one is complete beside the store; then the server copies it. To a store object of
+    zarr, such as that of an icechunk session, xarray writes the group in the same encoding but without a
+    manifest, since such stores have transactions.
 
     Parameters
     ----------
@@ -540,6 +542,7 @@ class StoreWriter:
         self._entries: dict[str, GroupEntry] = {}
         self._ensured: set[str] = set()
         self._announced = False
+        self._lock = threading.RLock()
 
     def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
         # Write a group's arrays; return the function that publishes the group.
@@ -550,18 +553,7 @@ class StoreWriter:
             return lambda: None
         with limited_threads(_check_room([job], self._location)):
             if self._stage is None:  # behind a URL: in place, the group's own metadata last
-                self.announce(job.group)
-                old = (
-                    [job.group]
-                    if job.group
-                    else [name for name in self._location.folders("") if self._location.kind(name) == "array"]
-                )
-                for path in filter(self._location.has, old):
-                    self._location.fs.rm(self._location.key(path), recursive=True)
-                place = Location.of(joined(self._location.url, job.group))
-                files, sums = _write_arrays(job, place, [], progress=progress)
-                place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
-                return lambda: None
+                return self._begin_at_url(job, progress=progress)
             stage = self._stage
             for entry in stage._entries():
                 if (entry.kind, entry.group) == ("build", job.group) and entry.content != job.build:
@@ -595,6 +587,34 @@ class StoreWriter:
 
         return put_in_place
 
+    def _begin_at_url(self, job: Job, *, progress: bool) -> Callable[[], None]:
+        # Write a group in its place, or beside the store where there is an old one, which stays until then.
+        location, fs = self._location, self._location.fs
+        self.announce(job.group)
+        place = Location.of(joined(location.url, job.group))
+        arrays = [name for name in location.folders(job.group) if location.has(job.group, name, METADATA)]
+        old = {key for name in arrays for key in fs.find(place.key(name))}
+        if old and not location.has(job.group, METADATA):  # of a run that was killed
+            fs.rm(sorted(old))
+            old = set()
+        parent, _, name = location.url.rpartition("/")
+        beside = Location.of(f"{parent}/{joined(f'.partial-{name}', job.group)}")
+        if beside.has(""):
+            fs.rm(beside.root, recursive=True)
+        build = beside if old else place
+        files, sums = _write_arrays(job, build, [], progress=progress)
+
+        def put_in_place() -> None:
+            if old:  # no reader finds metadata of one group and chunks of another
+                keys = fs.find(build.root)
+                fs.rm(place.key(METADATA))
+                moved = [place.key(key.removeprefix(build.root).lstrip("/")) for key in keys]
+                fs.copy(keys, moved)
+                fs.rm(sorted(old.difference(moved)) + keys)
+            place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
+
+        return put_in_place
+
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
@@ -622,12 +642,13 @@ class StoreWriter:
 
     def announce(self, group: str) -> None:
         # Create the parents of a group; before the first group is published, record all groups of the write
-        if not self._announced:
-            replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
-            self._announced = True
-        missing = [name for name in groups_above(group) if name not in self._ensured]
-        ensure_groups(missing, self._location)
-        self._ensured.update(missing)
+        with self._lock:
+            if not self._announced:
+                replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
+                self._announced = True
+            missing = [name for name in groups_above(group) if name not in self._ensured]
+            ensure_groups(missing, self._location)
+            self._ensured.update(missing)
 
     def finish(self) -> None:
         # Write the consolidated metadata of the root, and the manifest
@@ -778,16 +799,17 @@ class WholeRun:
         self._pool = ThreadPoolExecutor(1, "hyperpaint-place")
         self._placing: Future[None] | None = None
         self._placed: dict[str, xr.Dataset] = {}
+        self._lock = threading.RLock()  # on a cluster several groups are written at once
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
         # Write a group; it is published while the next is written, see `settle`.
         #
         # Progress bars go to stderr, so that stdout holds results only.
         assert self._writer is not None  # without pending groups this method is not called
-        if (
-            self._placing is None or self._placing.done()
-        ):  # raise an earlier error before computing this group
-            self.settle()
+        with self._lock:
+            # raise an earlier error before computing this group
+            if self._placing is None or self._placing.done():
+                self.settle()
         job = Job(
             group,
             computing.prepare(dataset, group),
@@ -798,17 +820,18 @@ class WholeRun:
         output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with output, errors_of_the_system(self._location, {group: dataset}):
             place = self._writer.begin(job, progress=progress)
-        self.settle()
-        self._placed = {group: dataset}
-        if thread_space():  # a further thread would take the memory of a computing thread
-            with errors_of_the_system(self._location, self._placed):
-                place()
-        else:
-            self._placing = self._pool.submit(place)
+        with self._lock:
+            self.settle()
+            self._placed = {group: dataset}
+            if thread_space():  # a further thread would take the memory of a computing thread
+                with errors_of_the_system(self._location, self._placed):
+                    place()
+            else:
+                self._placing = self._pool.submit(place)
 
     def settle(self) -> None:
         # Wait until every group is published; raise the error of a failed group.
-        with errors_of_the_system(self._location, self._placed):
+        with self._lock, errors_of_the_system(self._location, self._placed):
             if self._placing is not None:
                 self._placing.result()
                 self._placing = None

@@ -376,7 +376,7 @@ def test_memory_url() -> None:
     assert not is_complete(url, "flightlines")
 
 
-def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
+def test_memory_url_of_a_failed_writer_keeps_the_old_group() -> None:
     url = f"memory://{os.urandom(4).hex()}.zarr"
     to_store(flightline(), url, GROUP)
 
@@ -389,8 +389,11 @@ def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
         "broken",
         lambda: to_store(xr.Dataset({"counts": (CUBE, counts)}), url, GROUP, overwrite=True),
     )
-    assert not is_complete(url, GROUP)
-    assert not verify(url).ok
+    assert is_complete(url, GROUP)
+    assert verify(url).ok
+    with pytest.raises(RuntimeError, match="broken"):
+        to_store(xr.Dataset({"counts": (CUBE, counts)}), url, "flightlines/raw_1")
+    assert not is_complete(url, "flightlines/raw_1")
 
 
 @pytest.mark.parametrize("scheduler", ["threads", "processes", "synchronous"])

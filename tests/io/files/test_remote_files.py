@@ -1,0 +1,206 @@
+"""Files behind URLs: read as local ones are, cubes by ranges, products put there completely or not at all."""
+
+import contextlib
+import pickle
+import re
+import uuid
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import fsspec
+import numpy as np
+import pytest
+import xarray as xr
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_refusals, refusal
+from support.servers import s3_bucket, web_server
+
+import hyperpaint as hp
+from hyperpaint.base import remote_files
+from hyperpaint.base.errors import CollectError, FormatError, StoreError
+from hyperpaint.base.remote_files import UrlPath, as_path, mirrored, url_of
+from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.store import INPUTS, list_groups
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("day") / "flight"
+    return hp.simulate_collect(folder, scene="plan", lines=70, bands=12, columns=16, cubes=2)
+
+
+@pytest.fixture(scope="module")
+def local(flight: Path) -> Path:
+    return hp.process(flight, flight.parent.with_name("lot.zarr"))
+
+
+@pytest.fixture
+def day(flight: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    # The collect behind a URL of this process; servers are asked again at once
+    monkeypatch.setattr(remote_files, "ASK_AGAIN_S", -1.0)
+    name = f"/{uuid.uuid4().hex}"
+    memory = fsspec.filesystem("memory")
+    memory.put(str(flight.parent), f"{name}/flight", recursive=True)
+    yield f"memory:/{name}"
+    memory.rm(name, recursive=True)
+
+
+def assert_same_stores(one: Any, other: Any) -> None:
+    assert list_groups(one) == list_groups(other)
+    for group in filter(None, list_groups(one)):
+        xr.testing.assert_equal(hp.open_store(one, group).load(), hp.open_store(other, group).load())
+
+
+def test_a_url_in_the_form_of_a_path() -> None:
+    path = as_path("s3://bucket/day/raw_0.hdr")
+    assert str(path) == "s3://bucket/day/raw_0.hdr" == str(pickle.loads(pickle.dumps(path)))
+    assert (str(path.parent / "raw_1"), path.suffix) == ("s3://bucket/day/raw_1", ".hdr")
+    assert path.resolve() == path.absolute() == path == UrlPath("s3:/bucket/day/raw_0.hdr")
+    assert as_path("file:///tmp/raw_0") == Path("/tmp/raw_0")
+    assert [url_of(text) for text in ("C:/day", "C:\\day", "day", "file:///day", "a::s3://b")] == [None] * 5
+
+
+def test_a_collect_behind_a_url_gives_the_bits_of_its_copy(day: str, local: Path) -> None:
+    out = hp.process(f"{day}/flight/collect.toml", f"{day}/lot.zarr")
+    assert str(out) == f"{day}/lot.zarr"
+    assert_same_stores(local, out)
+    assert hp.verify(out).ok
+    contents = [hp.open_store(store, "flightlines/raw_0").attrs[INPUTS] for store in (local, out)]
+    assert contents[0] == contents[1]  # the same inputs, wherever they are
+    assert "memory:" not in str(hp.open_store(local, "flightlines/raw_0").attrs)
+    text = hyperpaint("process", f"{day}/flight/collect.toml", "--out", f"{day}/lot.zarr").output
+    assert "already complete" in text
+    assert "all unchanged" in hyperpaint("verify", f"{day}/lot.zarr", "--inputs").output
+
+
+def test_cubes_are_read_by_ranges(day: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    url = f"{day}/flight/flight/raw_0"
+    line = open_envi(f"{url}.hdr")
+    read: list[int] = []
+    plain = remote_files.RemoteData.readinto
+
+    def counted(data: Any, buffer: Any) -> int:
+        read.append(plain(data, buffer))
+        return read[-1]
+
+    monkeypatch.setattr(remote_files.RemoteData, "readinto", counted)
+    band = line["counts"].isel(along_track=3, band=[5]).values
+    assert read == [band.nbytes]
+    assert "is not copied" in mirrored(url).read_text()
+    # a cube that has changed since is refused
+    fsspec.filesystem("memory").pipe(url.removeprefix("memory:/"), bytes(35 * 12 * 16 * 2))
+    with refusal(FormatError, "file-changed", "raw_0"):
+        line["counts"].isel(along_track=4).load()
+
+
+def test_a_text_that_changes_is_copied_again(day: str) -> None:
+    regions, memory = f"{day}/regions.geojson", fsspec.filesystem("memory")
+    for names in (["hood"], ["hood", "roof"]):
+        hp.write_regions(
+            [hp.Region(name, [(0, 0), (4, 0), (4, 3)]) for name in names], regions, overwrite=True
+        )
+        assert list(hp.read_regions(regions).names) == names
+    memory.rm(regions.removeprefix("memory:/"))
+    with refusal(FormatError, "file-unreadable", regions):
+        hp.read_regions(regions)
+
+
+@pytest.mark.parametrize("scheme", ["memory", pytest.param("s3", marks=pytest.mark.slow)])
+def test_every_reader_takes_a_url(scheme: str, flight: Path, local: Path, request: Any) -> None:
+    with contextlib.ExitStack() as stack:
+        url = stack.enter_context(s3_bucket()) if scheme == "s3" else request.getfixturevalue("day")
+        if scheme == "s3":
+            fsspec.filesystem("s3").put(str(flight.parent), f"{url}/flight", recursive=True)
+        folder, home = f"{url}/flight", flight.parent
+        readers: dict[str, Callable[[Any], xr.Dataset]] = {
+            "asd": hp.open_asd, "asd/*.asd": hp.open_asd, "svc/red.sig": hp.open_svc, "svc": hp.open_svc,
+            "flight/imu_gps.txt": hp.open_navigation, "calibration.zarr": hp.io.open_calibration,
+            "flight/raw_0.hdr": open_envi,
+        }  # fmt: skip
+        for name, read in readers.items():
+            xr.testing.assert_equal(read(f"{folder}/{name}").load(), read(str(home / name)).load())
+        assert hp.read_regions(f"{folder}/regions.geojson") == hp.read_regions(home / "regions.geojson")
+        assert_same_stores(local, hp.process(f"{folder}/collect.toml", f"{url}/lot.zarr"))
+        assert hp.verify(f"{url}/lot.zarr").ok
+
+
+def test_a_local_collect_may_name_urls(day: str, flight: Path, local: Path, tmp_path: Path) -> None:
+    text = flight.read_text(encoding="utf-8")
+    for name in ("flight/", "asd/", "dark/", "calibration.zarr", "svc/", "asd_reflectance/"):
+        text = re.sub(f"""(["'])({re.escape(name)})""", rf"\1{day}/flight/\2", text)
+    (tmp_path / "collect.toml").write_text(text, encoding="utf-8")
+    assert_same_stores(local, hp.process(tmp_path / "collect.toml", tmp_path / "lot.zarr"))
+
+
+def test_a_collect_behind_a_url_names_no_file_of_this_machine(day: str, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.txt"
+    secret.write_text("1")
+    memory, name = fsspec.filesystem("memory"), f"{day}/flight/collect.toml".removeprefix("memory:/")
+    text = memory.cat_file(name).decode()
+    for path in (str(secret), "../" * 20 + str(secret)[1:]):
+        other = re.sub(r"(?m)^frame_index = .*$", f'frame_index = "{path}"', text)
+        memory.pipe(name, other.encode())
+        with refusal(CollectError, "file-not-found", "frame_index"):
+            hp.open_collect(f"{day}/flight/collect.toml")
+
+
+def test_a_web_server_gives_files_by_name(flight: Path, tmp_path: Path) -> None:
+    with web_server(flight.parent) as address:
+        line = open_envi(f"{address}/flight/raw_0.hdr")
+        xr.testing.assert_equal(line.load(), open_envi(flight.parent / "flight/raw_0.hdr").load())
+        with refusal(FormatError, "file-unreadable", f"{address}/none.sig"):
+            hp.open_svc(f"{address}/none.sig")
+    with web_server(flight.parent, ranges=False) as address:
+        line = open_envi(f"{address}/flight/raw_0.hdr")
+        with refusal(FormatError, "range-missing", "raw_0", "ranges"):
+            line["counts"].isel(along_track=4).load()
+    with refusal(FormatError, "url-unusable", f"{address}/red.sig"):  # nobody answers there now
+        hp.open_svc(f"{address}/red.sig")
+
+
+def test_urls_that_nothing_can_read(day: str) -> None:
+    expect_refusals(
+        (FormatError, "url-unusable", "ftpx", lambda: hp.read_regions("ftpx://server/cars.geojson")),
+        (FormatError, "path-invalid", "..", lambda: hp.read_regions(f"{day}/../cars.geojson")),
+        (FormatError, "url-not-plain", "::", lambda: hp.read_regions(f"simplecache::{day}/cars.geojson")),
+        (FormatError, "file-unreadable", day, lambda: hp.read_regions(f"{day}/none.geojson")),
+        (StoreError, "url-not-local", day, lambda: hp.simulate_collect(f"{day}/new")),
+    )
+
+
+def test_products_behind_a_url(day: str, local: Path) -> None:
+    page, memory = f"{day}/report.html", fsspec.filesystem("memory")
+    hp.report.write_report(local, page)
+    assert memory.cat_file(page.removeprefix("memory:/")).startswith(b"<!DOCTYPE html>")
+    with refusal(StoreError, "file-exists", page):
+        hp.report.write_report(local, page)
+    hp.report.write_site(local, f"{day}/page")
+    names = {Path(name).name for name in memory.find(f"{day}/page".removeprefix("memory:/"))}
+    assert {"index.html", "site.json", "zarr.json"} <= names
+    sky = hp.open_store(f"{day}/page/store.zarr", "flightlines/raw_0")
+    assert sky.sizes["along_track"] == 35
+
+
+def test_the_old_group_stays_until_the_new_one_is_complete(day: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, memory = f"{day}/lot.zarr", fsspec.filesystem("memory")
+
+    def line(value: float, lines: int = 64) -> xr.Dataset:
+        return xr.Dataset({"light": (("along_track", "band"), np.full((lines, 2), value, "f4"))})
+
+    hp.to_store(line(1.0, 96), store, "a")
+    replace = partial(hp.to_store, line(2.0), store, "a", overwrite=True)
+    with monkeypatch.context() as patch:  # killed when the new group is complete
+        patch.setattr(memory, "rm", mock.Mock(side_effect=KeyboardInterrupt))
+        expect_error(KeyboardInterrupt, None, replace)
+    xr.testing.assert_equal(hp.open_store(store, "a").load(), line(1.0, 96))
+    with monkeypatch.context() as patch:  # killed while the server copies it
+        patch.setattr(memory, "copy", mock.Mock(side_effect=KeyboardInterrupt))
+        expect_error(KeyboardInterrupt, None, replace)
+    expect_error(StoreError, None, lambda: hp.open_store(store, "a"))
+    replace()
+    xr.testing.assert_equal(hp.open_store(store, "a").load(), line(2.0))
+    assert hp.verify(store).ok
+    assert not any(".partial-" in name for name in memory.find(day.removeprefix("memory:/")))
