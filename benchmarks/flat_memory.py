@@ -123,7 +123,7 @@ def survey_and_flag(folder: Path) -> None:
     hp.to_store(line.paint.flag(model)[["quality", "glint_fraction"]], folder / "flags.zarr")
 
 
-def run_here(case: str, folder: Path, limit: str | None) -> None:
+def run_here(case: str, folder: Path, limit: str | None, *words: str) -> None:
     """Run a command in this process, and print its peak memory, wall time and CPU time."""
     import resource
 
@@ -138,7 +138,8 @@ def run_here(case: str, folder: Path, limit: str | None) -> None:
         from hyperpaint.cli.program import main as hyperpaint
 
         try:
-            status = hyperpaint([*command(case, folder, limit), "--quiet"])
+            own = [str(limit), *words] if case == "command" else command(case, folder, limit)
+            status = hyperpaint([*own, "--quiet"])
         except SystemExit as end:
             status = end.code
         if status:
@@ -175,9 +176,9 @@ def peak_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def child(case: str, folder: Path, limit: str | None = None) -> dict[str, float]:
+def child(case: str, folder: Path, *words: str | None) -> dict[str, float]:
     done = subprocess.run(
-        [sys.executable, __file__, "--here", case, str(folder), *([limit] if limit else [])],
+        [sys.executable, __file__, "--here", case, str(folder), "--", *filter(None, words)],
         check=True, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     return dict(json.loads(done.stdout.splitlines()[-1]))
@@ -203,11 +204,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"some of {', '.join(CASES)}")
     parser.add_argument("--lines", nargs="+", type=int, default=[500, 4000, 12000])
     parser.add_argument("--memory-limit", metavar="SIZE")
-    parser.add_argument("--here", nargs="+", help=argparse.SUPPRESS)
+    parser.add_argument("--here", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
     if asked.here:
-        case, folder, *limit = asked.here
-        run_here(case, Path(folder), limit[0] if limit else None)
+        case, folder, *words = [*asked.here, *asked.cases]
+        run_here(case, Path(folder), *(words or [None]))
         return 0
     floor = child("imports", Path())["peak"]
     print(f"imports {floor:.0f} MB; peak memory [MB], then wall and CPU time [s]")

@@ -4,13 +4,12 @@ A pipe may block for ever, a device has no end, a socket cannot be read, and a U
 """
 
 import os
-import re
 import stat
 from io import BufferedReader
 from pathlib import Path
 
 from .errors import FormatError, PaintError
-from .remote_files import as_path, discover, fetch, mirrored, open_data, origin_of, url_of
+from .remote_files import CHAINED, as_path, discover, fetch, mirrored, open_data, origin_of, url_of
 
 #: Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows.
 MAX_NAME_BYTES = 255
@@ -18,8 +17,6 @@ MAX_NAME_BYTES = 255
 #: Bytes of a path: PATH_MAX of Linux.
 MAX_PATH_BYTES = 4096
 
-#: ``dask::...``, which may start a cluster, or copy and unpack files.
-_CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
 #: Opening does not wait for the writer of a pipe, and the file does not become the controlling terminal.
 _OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
@@ -78,7 +75,7 @@ irradiance series on a disk or behind a plain URL [url-not-plain]
     )
     url = url_of(path)
     error.raise_if(
-        "::" in text and url is None and _CHAINED.match(text) and not ("://" not in text and _exists(text)),
+        url is None and CHAINED.match(text) and not ("://" not in text and _exists(text)),
         f"{shown}: a chained URL",
         expected=f"{expected} on a disk or behind a plain URL",
         code="url-not-plain",
@@ -117,6 +114,8 @@ def _kind(mode: int) -> str:
 
 def is_plain_file(path: str | os.PathLike[str]) -> bool:
     # Return whether a path names a plain file; False for any name that cannot exist.
+    if (url := url_of(path)) is not None:
+        return is_plain_file(mirrored(url))
     try:
         discover(path)
         return stat.S_ISREG(os.stat(path).st_mode)

@@ -9,6 +9,7 @@ and for Zarr stores, which read their chunks themselves.
 File systems and credentials are those of fsspec: environment variables and the files of its configuration.
 """
 
+import bisect
 import contextlib
 import functools
 import hashlib
@@ -18,19 +19,24 @@ import os
 import re
 import shutil
 import tempfile
+import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from .errors import FormatError
+from .errors import FormatError, MissingExtraError
 
 #: ``https://...``, also after pathlib reduced ``//`` to ``/``; a drive of Windows has one letter.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
 _FILE = re.compile(r"(?:file|local):/+")
+#: ``dask::...``, which may start a cluster, or copy and unpack files.
+CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
 #: Largest sum of files that are copied at once [byte].
 MAX_COPY_BYTES = 4 * 2**30
 MAX_LISTED = 100_000
+#: Longest gap between ranges that one request reads [byte].
+MAX_GAP_BYTES = 2**16
 
 
 def url_of(path: str | os.PathLike[str]) -> str | None:
@@ -77,10 +83,11 @@ class UrlPath(type(Path())):  # type: ignore[misc]
     def mkdir(self, *_: Any, **__: Any) -> None:
         pass  # servers have names, not folders
 
-    def open(self, *options: Any, **named: Any) -> Any:
+    def open(self, mode: str = "r", *options: Any, **named: Any) -> Any:
+        assert not set(mode) & set("wax+")  # writers publish what is complete
         place = mirrored(str(self))
         fetch([place])
-        return open(place, *options, **named)
+        return open(place, mode, *options, **named)
 
     def absolute(self) -> "UrlPath":
         return self
@@ -90,8 +97,14 @@ class UrlPath(type(Path())):  # type: ignore[misc]
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    # Return a local path, also of ``file:///...``, or the URL in the form of a path.
-    url = url_of(path)
+    # Return a local path, also of ``file:///...``, or the URL in the form of a path; refuse a chained URL.
+    url, text = url_of(path), os.fsdecode(path)
+    FormatError.raise_if(
+        url is None and CHAINED.match(text) and not os.path.lexists(text),
+        f"{text:.200}: a chained URL",
+        expected="a path or a plain URL",
+        code="url-not-plain",
+    )
     return Path(re.sub(rf"^{_FILE.pattern}", "/", os.fsdecode(path))) if url is None else UrlPath(url)
 
 
@@ -110,10 +123,10 @@ def _errors_of(url: str) -> Iterator[None]:
     # Every file system has its own classes of errors.
     try:
         yield
-    except (FileNotFoundError, FormatError):
+    except (FileNotFoundError, FormatError, MissingExtraError):
         raise
     except ImportError as error:
-        raise FormatError(
+        raise MissingExtraError(
             f"{url} cannot be opened: {error}",
             mend="install that package with python -m pip install",
             code="dependency-missing",
@@ -133,7 +146,9 @@ _PLACEHOLDERS: dict[str, str] = {}
 #: State on the server of every file, by its place: it changes with the content.
 _STATES: dict[str, str] = {}
 #: Time when a folder was listed, or a file looked for [s].
-_ASKED: dict[str, float] = {}
+_ASKED_AT: dict[str, float] = {}
+#: Threads of dask open files, too.
+_LOCK = threading.RLock()
 #: Time after which the server is asked again [s]; a step of the package asks once.
 ASK_AGAIN_S = 5.0
 
@@ -145,14 +160,26 @@ def _mirror() -> tuple[Path, Any]:
     return Path(folder.name), folder
 
 
-def mirrored(url: str) -> Path:
-    # Return the place of a URL in the temporary folder; what is there is known after this.
+def place_in_mirror(url: str) -> Path:
+    # Return the place of a URL in the temporary folder, where nothing need be.
     scheme, _, rest = url.partition("://")
     parts = [part for part in rest.split("/") if part not in ("", ".")]
     FormatError.raise_if(
         ".." in parts or not parts, f"{url:.200}", expected="a URL without '..'", code="path-invalid"
     )
-    path = _mirror()[0].joinpath(scheme, *parts)
+    FormatError.raise_if(
+        "?" in url,
+        f"{url.partition('?')[0]:.200}?...: a URL with a query",
+        expected="a plain URL",
+        mend="download the file, or use the URL of the bucket (s3://...)",
+        code="url-not-plain",
+    )
+    return _mirror()[0].joinpath(scheme, *parts)
+
+
+def mirrored(url: str) -> Path:
+    # Return the place of a URL in the temporary folder, after the server was asked for it.
+    path = place_in_mirror(url)
     discover(path)
     return path
 
@@ -171,26 +198,27 @@ def discover(path: str | os.PathLike[str]) -> None:
     url = origin_of(place)
     if url == place or url.count("/") < 3:
         return
-    _list(os.path.dirname(place))
-    if os.path.isdir(place):
-        _list(place)
-    elif place not in _STATES and _is_due(place):  # servers without listings know their files
-        fs, key = file_system(url)
-        with _errors_of(url):
-            try:
-                state = fs.info(key)
-            except FileNotFoundError as error:  # also of a server that does not answer
-                if isinstance(error.__cause__, OSError):
-                    del _ASKED[place]
-                    raise error.__cause__ from None
-                return
-            if state["type"] != "directory":
-                _hold(place, url, state)
+    with _LOCK:
+        _list(os.path.dirname(place))
+        if os.path.isdir(place):
+            _list(place)
+        elif place not in _STATES and _is_due(place):  # servers without listings know their files
+            fs, key = file_system(url)
+            with _errors_of(url):
+                try:
+                    state = fs.info(key)
+                except FileNotFoundError as error:  # also of a server that does not answer
+                    if isinstance(error.__cause__, OSError):
+                        del _ASKED_AT[place]
+                        raise error.__cause__ from None
+                    return
+                if state["type"] != "directory":
+                    _add_placeholder(place, url, state)
 
 
 def _is_due(place: str) -> bool:
-    now, asked = time.monotonic(), _ASKED.get(place, -math.inf)
-    _ASKED[place] = now if now - asked > ASK_AGAIN_S else asked
+    now, asked = time.monotonic(), _ASKED_AT.get(place, -math.inf)
+    _ASKED_AT[place] = now if now - asked > ASK_AGAIN_S else asked
     return now - asked > ASK_AGAIN_S
 
 
@@ -204,13 +232,8 @@ def _list(folder: str) -> None:
     # a server may refuse to list what it gives by name
     with contextlib.suppress(FileNotFoundError, FormatError), _errors_of(url):
         rows = fs.ls(key, detail=True)
-    FormatError.raise_if(
-        len(rows) > MAX_LISTED,
-        f"{url:.200}: {len(rows)} files",
-        expected=f"at most {MAX_LISTED} in a folder",
-        mend="use a folder for each flight",
-        code="file-too-large",
-    )
+    if len(rows) > MAX_LISTED:  # files in it are found by their names
+        return
     listed = {str(row["name"]).rstrip("/").rpartition("/")[2]: row for row in rows}
     for name in os.listdir(folder):  # removed on the server, or to be asked for by name
         place = os.path.join(folder, name)
@@ -229,43 +252,49 @@ def _list(folder: str) -> None:
         if is_folder:
             os.makedirs(place, exist_ok=True)
         else:
-            _hold(place, f"{url.rstrip('/')}/{name}", row)
+            _add_placeholder(place, f"{url.rstrip('/')}/{name}", row)
 
 
-def _marks(state: Mapping[str, Any]) -> str:
+def _content_state(state: Mapping[str, Any]) -> str:
     # What servers tell that changes with the content of a file.
     names = ("size", "ETag", "LastModified", "Last-Modified", "mtime", "created")
     return "\n".join(str(state[name]) for name in names if state.get(name) is not None)
 
 
-def _hold(place: str, url: str, state: Mapping[str, Any]) -> None:
-    now = _marks(state)
-    if not now and place in _STATES and place not in _PLACEHOLDERS:  # pages that list files tell nothing else
+def _add_placeholder(place: str, url: str, state: Mapping[str, Any]) -> None:
+    content = _content_state(state)
+    # pages that list files tell nothing else
+    if not content and place in _STATES and place not in _PLACEHOLDERS:
         fs, key = file_system(url)
-        now = _marks(fs.info(key))
-    if place in _STATES and _STATES[place] == now:
+        content = _content_state(fs.info(key))
+    if place in _STATES and _STATES[place] == content:
         return
     os.makedirs(os.path.dirname(place), exist_ok=True)
     Path(place).write_text(f"{url} is not copied\n", encoding="utf-8")
-    _PLACEHOLDERS[place], _STATES[place] = url, now
+    _PLACEHOLDERS[place], _STATES[place] = url, content
 
 
 def forget(path: str | os.PathLike[str]) -> None:
     # Remove what is known of a place, or of a URL that was written.
     url = url_of(path)
-    place = os.fspath(path) if url is None else os.fspath(_mirror()[0].joinpath(*url.split("://", 1)))
-    for table in (_PLACEHOLDERS, _STATES, _ASKED):
-        table.pop(place, None)
-    _ASKED.pop(os.path.dirname(place), None)
-    with contextlib.suppress(FileNotFoundError, IsADirectoryError):
-        os.unlink(place)
+    place = os.fspath(path if url is None else place_in_mirror(url))
+    with _LOCK:
+        for table in (_PLACEHOLDERS, _STATES, _ASKED_AT):
+            table.pop(place, None)
+        _ASKED_AT.pop(os.path.dirname(place), None)
+        with contextlib.suppress(OSError):  # not copied, or a folder
+            os.unlink(place)
 
 
 def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
     # Copy the content of placeholders; other paths are left as they are.
     #
     # Raises `FormatError`: They cannot be read, or are together above `MAX_COPY_BYTES`.
-    urls = {place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS}
+    with _LOCK:
+        _fetch({place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS})
+
+
+def _fetch(urls: Mapping[str, str]) -> None:
     by_scheme: dict[str, list[str]] = {}
     for place, url in urls.items():
         by_scheme.setdefault(url.partition("://")[0], []).append(place)
@@ -286,7 +315,7 @@ def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
             fs.get(keys, copies)
             for place, copy in zip(places, copies, strict=True):
                 shutil.move(copy, place)
-                _STATES[place] = _STATES.get(place) or _marks(fs.info(file_system(urls[place])[1]))
+                _STATES[place] = _STATES.get(place) or _content_state(fs.info(file_system(urls[place])[1]))
                 _PLACEHOLDERS.pop(place, None)
 
 
@@ -296,7 +325,7 @@ def remote_states(url: str, only: str = "") -> list[tuple[str, str]]:
     with _errors_of(url):
         rows = fs.find(key, detail=True)
     names = (name for name in sorted(rows) if name.endswith(only))
-    return [(name.removeprefix(key), _marks(rows[name])) for name in names]
+    return [(name.removeprefix(key), _content_state(rows[name])) for name in names]
 
 
 def byte_size(path: Path) -> int:
@@ -314,7 +343,7 @@ def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
     # Yield a file to read ranges of its bytes, its size [byte] and a number that changes with its content.
     #
     # ``path``: a local file, a placeholder or a URL.
-    url = _PLACEHOLDERS.get(os.fspath(path)) or url_of(path)
+    url = url_of(origin_of(path))
     if url is None:
         with open(path, "rb", buffering=0) as file:
             status = os.fstat(file.fileno())
@@ -323,9 +352,9 @@ def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
     fs, key = file_system(url)
     with _errors_of(url):
         state = fs.info(key)
-        version = int.from_bytes(hashlib.sha256(_marks(state).encode()).digest()[:7])
-        size = int(state["size"])
-        yield RemoteData(fs, key, url, size), size, version
+    version = int.from_bytes(hashlib.sha256(_content_state(state).encode()).digest()[:7])
+    size = int(state["size"])
+    yield RemoteData(fs, key, url, size), size, version
 
 
 def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
@@ -350,17 +379,35 @@ class RemoteData(io.RawIOBase):
         return offset
 
     def pieces(self, starts: list[int], size: int) -> list[bytes]:
+        from fsspec.utils import merge_offset_ranges  # type: ignore[import-untyped]
+
+        ends = [start + size for start in starts]
+        ranges = merge_offset_ranges([self._key] * len(starts), starts, ends, max_gap=MAX_GAP_BYTES)
+        firsts, ends = ranges[1], [min(end or 0, self._size) for end in ranges[2]]
+        blocks = [self._block(firsts[0], ends[0])] if firsts else []  # shows whether the server knows ranges
         with _errors_of(self._url):
-            ends = [start + size for start in starts]
-            return list(self._fs.cat_ranges([self._key] * len(starts), starts, ends))
+            blocks += self._fs.cat_ranges(ranges[0][1:], firsts[1:], ends[1:], on_error="raise")
+        for block, start, end in zip(blocks, firsts, ends, strict=True):
+            self._check(block, start, end)
+        places = [(start, bisect.bisect_right(firsts, start) - 1) for start in starts]
+        return [blocks[block][start - firsts[block] :][:size] for start, block in places]
 
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
         start, end = self._position, min(self._position + len(view), self._size)
         if end <= start:
             return 0
+        view[: end - start] = self._block(start, end)
+        self._position = end
+        return end - start
+
+    def _block(self, start: int, end: int) -> bytes:
         with _errors_of(self._url):
-            content = self._fs.cat_file(self._key, start=start, end=end)
+            content = bytes(self._fs.cat_file(self._key, start=start, end=end))
+        self._check(content, start, end)
+        return content
+
+    def _check(self, content: bytes, start: int, end: int) -> None:
         FormatError.raise_if(
             len(content) != end - start,
             f"{self._url}: {len(content)} bytes",
@@ -368,6 +415,3 @@ class RemoteData(io.RawIOBase):
             mend="the server must answer requests for ranges; else download the file",
             code="range-missing",
         )
-        view[: end - start] = content
-        self._position = end
-        return end - start

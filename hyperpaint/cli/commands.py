@@ -16,7 +16,7 @@ import xarray as xr
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
-from hyperpaint.base import byte_size, flags_named, url_of
+from hyperpaint.base import as_path, byte_size, flags_named, url_of
 from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.spectrometers.asd import sniff
 from hyperpaint.io.store import outside, virtual_groups
@@ -30,7 +30,7 @@ from .options import (
     FOLDER,
     PLACE,
     WRONG_INPUT,
-    Place,
+    PathOrUrl,
     beside,
     command,
     end_with_problems,
@@ -102,7 +102,7 @@ def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
         ctx.exit(FAILED_CHECK)
 
 
-_FOLDER = Place(exists=True, file_okay=False, path_type=Path)
+_FOLDER = PathOrUrl(exists=True, file_okay=False, path_type=Path)
 
 
 @command(
@@ -1090,7 +1090,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     # the name of a paint of the library, or an opened file
     if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
-    path = Path(like)
+    path = as_path(like)
     if not path.exists():
         raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
     if path.suffix.lower() == ".sig":

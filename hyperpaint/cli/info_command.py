@@ -78,7 +78,9 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
     if url_of(path) is not None and is_zarr(path):
         return dict(_store(as_path(path)))
     path = input_path(path, "a file, a folder or a store", content=False)
-    FormatError.raise_if(not path.exists(), f"{path}: no such file or folder", code="file-not-found")
+    FormatError.raise_if(
+        not path.exists(), f"{origin_of(path)}: no such file or folder", code="file-not-found"
+    )
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)

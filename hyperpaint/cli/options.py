@@ -29,13 +29,14 @@ _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}
 
 
-class Place(click.Path):
+class PathOrUrl(click.Path):
     # A local path that is checked here, or a URL, which the function that takes it reads.
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return super().convert(value, param, ctx) if url_of(value) is None else as_path(value)
+        path = as_path(value)
+        return super().convert(path, param, ctx) if url_of(path) is None else path
 
 
-PLACE = Place(path_type=Path)
+PLACE = PathOrUrl(path_type=Path)
 
 #: Parameters that are no options of a command, because it or the program passes them.
 _HIDDEN = ("progress", "scheduler")
@@ -51,7 +52,7 @@ OVERRIDES: dict[str, dict[str, Any]] = {
     "flightlines": {"spelling": "--line", "metavar": "ID", "help": "Only this flight line; repeatable."},
     "lever_arm": {"metavar": "F R D"},
     "library": {"metavar": "LIBRARY"},
-    "picture": {"metavar": "PICTURE", "type": Place(dir_okay=False, path_type=Path)},
+    "picture": {"metavar": "PICTURE", "type": PathOrUrl(dir_okay=False, path_type=Path)},
     "srf_shape": {"spelling": "--shape"},
 }
 
@@ -393,10 +394,10 @@ class Command(click.Command):
 
 
 command = functools.partial(click.command, cls=Command)
-FILE = Place(dir_okay=False, path_type=Path)
-FOLDER = Place(file_okay=False, path_type=Path)
-EXISTING = Place(exists=True, path_type=Path)
-EXISTING_FILE = Place(exists=True, dir_okay=False, path_type=Path)
+FILE = PathOrUrl(dir_okay=False, path_type=Path)
+FOLDER = PathOrUrl(file_okay=False, path_type=Path)
+EXISTING = PathOrUrl(exists=True, path_type=Path)
+EXISTING_FILE = PathOrUrl(exists=True, dir_okay=False, path_type=Path)
 
 #: Exit statuses of a command: data fail a check; the call or an input is wrong.
 FAILED_CHECK, WRONG_INPUT = 1, 2

@@ -1138,7 +1138,7 @@ LAYOUT_RULES = SimpleNamespace(
     # Number of random bands, and of pixels in a band, that are read.
     bands=24,
     pixels=64,
-    remote_pixels=16,  # behind a URL, where every sample is a request
+    remote_lines=4,  # number of lines with these pixels behind a URL, where every place is a request
     # Roughness (mean squared difference of neighbouring bands over twice the variance [1]) above which other
     # layouts are tried, and factor by which another layout must be smoother; observed are 30 for the right
     # interleave and 1000 for the right byte order.
@@ -1220,9 +1220,9 @@ def _view(file: io.RawIOBase, header: EnviHeader, lines: int, order: str) -> _Vi
     count = min(LAYOUT_RULES.bands, header.bands - 1)
     bands = np.linspace(0, header.bands - 2, count).astype(np.int64)[:, None]
     shape = (count, LAYOUT_RULES.pixels)
-    if isinstance(file, RemoteData):  # a request for every sample takes long
-        shape = (count, LAYOUT_RULES.remote_pixels)
     line, column = rng.integers(lines, size=shape), rng.integers(header.samples, size=shape)
+    if isinstance(file, RemoteData):
+        line = line[0, rng.integers(LAYOUT_RULES.remote_lines, size=shape)]
 
     def read_band(band: Ints) -> Floats:
         offsets = {

@@ -16,7 +16,6 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -40,6 +39,7 @@ from hyperpaint.base import (
     Problems,
     SchemaError,
     convert,
+    is_plain_file,
     label,
     require,
     takes_quantities,
@@ -95,7 +95,7 @@ def is_lambertian(surface: Any) -> bool:
 def check_surface(surface: Any, reflectance: Any = 1.0) -> None:
     # Raise `SchemaError` for a surface that is unknown, or is not that of a panel of ``reflectance`` [1].
     is_table = hasattr(surface, "coords") or (
-        isinstance(surface, str | os.PathLike) and Path(surface).is_file()
+        isinstance(surface, str | os.PathLike) and is_plain_file(surface)
     )
     SchemaError.raise_if(
         not is_table and surface not in PANEL_SURFACES,

@@ -51,6 +51,7 @@ from hyperpaint.base import (
     as_path,
     documented,
     fetch,
+    head_of,
     input_path,
     is_number,
     is_plain_file,
@@ -491,7 +492,7 @@ def write_regions(
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
     lines = [",\n".join(map(_json, features))] if features else []
     content = "\n".join(["{", *head, '"features": [', *lines, "]", "}", ""]).encode()
-    is_same = is_plain_file(file) and file.stat().st_size == len(content) and file.read_bytes() == content
+    is_same = is_plain_file(file) and head_of(file, len(content) + 1) == content
     publish_file(file, content, overwrite=overwrite or is_same)
     return file
 

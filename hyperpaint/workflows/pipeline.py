@@ -318,7 +318,7 @@ def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> 
         return 1
     tasks = [len(group.chunksizes.get(ALONG_TRACK, ())) for group in groups.values()]
     threads: int = sum(client.nthreads().values())
-    return max(1, min(len(groups), 2 * threads // max(1, *tasks)))
+    return max(1, min(len(groups), 2 * threads // max([1, *tasks])))
 
 
 # --- where it is computed ---
@@ -570,7 +570,7 @@ def process(
     collect
         A ``collect.toml``; see `open_collect`.
     out
-        The store, a folder. To write to a URL, write the groups of `open_collect` with `to_store`.
+        The store: a folder or a URL.
     to
         ``"radiance"`` needs no irradiance, and stores unrounded ``radiance`` instead of ``reflectance``.
     reflectance
@@ -608,9 +608,9 @@ def process(
         ``to``, ``reflectance``, ``alignment``, ``accept`` or ``codec`` is not one of the accepted words, or
         ``memory_limit`` is no size.
     StoreError
-        ``out`` is a URL; the store holds other data, is being written by another process, or cannot be
-        written; memory or disk does not suffice, which is checked before anything is written; or workers or
-        the scheduler are lost, or a block fails repeatedly: the same call then finishes the run.
+        The store holds other data, is being written by another process, or cannot be written; memory or disk
+        does not suffice, which is checked before anything is written; or workers or the scheduler are lost,
+        or a block fails repeatedly: the same call then finishes the run.
     MissingExtraError
         ``scheduler`` is used, and distributed is not installed.
 

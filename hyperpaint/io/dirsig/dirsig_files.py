@@ -41,6 +41,7 @@ from hyperpaint.base import (
     Problem,
     Problems,
     SchemaError,
+    as_path,
 )
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
 
@@ -310,7 +311,7 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     # ignored.
     #
     # Raises `FormatError`: As `read_emissivity`; or its curves have different wavelengths.
-    path = Path(path)
+    path = as_path(path)
     file = read_emissivity(path)
     wavelength = file.curves[0].wavelength
     FormatError.raise_if(

@@ -139,7 +139,7 @@ def published_files(
     # Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
     # written by another process; or the system refuses. Existing files stay.
     if url_of(targets[-1]) is not None:
-        with _uploaded(targets, overwrite=overwrite, is_folder=foreign is not None) as paths:
+        with _uploaded(targets, overwrite=overwrite) as paths:
             yield paths
         return
     if len({target.parent for target in targets}) > 1:  # one spelling per folder
@@ -181,9 +181,9 @@ def published_files(
 
 
 @contextlib.contextmanager
-def _uploaded(targets: Sequence[Path], *, overwrite: bool, is_folder: bool) -> Iterator[list[Path]]:
+def _uploaded(targets: Sequence[Path], *, overwrite: bool) -> Iterator[list[Path]]:
     # Yield temporary paths, which are uploaded if the block succeeds, the key last: a server replaces a file
-    # in one step. Of a folder other files stay, and its page is last.
+    # in one step. What opens an old folder is removed first and uploaded last: its page and its metadata.
     existing = [str(target) for target in targets if target.exists()]
     StoreError.raise_if(
         existing and not overwrite,
@@ -197,15 +197,24 @@ def _uploaded(targets: Sequence[Path], *, overwrite: bool, is_folder: bool) -> I
         for path in paths:
             path.parent.mkdir()
         yield paths
+
+        def is_opener(name: str) -> tuple[bool, bool, int]:
+            return name.endswith(".html"), name.endswith("zarr.json"), -name.count("/")
+
         for path, target in zip(paths, targets, strict=True):
-            files = sorted(filter(Path.is_file, path.rglob("*")), key=lambda file: file.suffix == ".html")
-            for file in files if is_folder else [path]:
-                fs, key = file_system(os.fspath(target / file.relative_to(path)))
-                with StoreError.instead_of(
-                    Exception, f"{target} cannot be written: $kind: $error", code="file-unwritable"
-                ):
-                    fs.put_file(str(file), key)
-                forget(target)
+            forget(target)
+            fs, key = file_system(os.fspath(target))
+            files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+            new = {f"{key}/{file.relative_to(path).as_posix()}".removesuffix("/."): file for file in files}
+            with StoreError.instead_of(
+                Exception, f"{target} cannot be written: $kind: $error", code="file-unwritable"
+            ):
+                old = sorted(fs.find(key), key=is_opener, reverse=True) if path.is_dir() else []
+                for name in old:
+                    if name not in new or any(is_opener(name)[:2]):
+                        fs.rm_file(name)
+                for name in sorted(new, key=is_opener):
+                    fs.put_file(str(new[name]), name)
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:

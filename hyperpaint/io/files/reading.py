@@ -285,8 +285,9 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     #
     # Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is not a plain file. A damaged file
     # raises the engine's error.
+    path = input_path(path, "a netCDF file")
     FormatError.raise_if(
-        not is_plain_file(input_path(path, "a netCDF file")),
+        not is_plain_file(path),
         f"{path}: no plain file",
         expected="a netCDF file",
         mend="check the path",
@@ -428,7 +429,8 @@ def sampled_digest(path: Path) -> str:
     >>> sampled_digest(folder / "cube") == sampled_digest(folder / "copy")
     True
     """
-    with open_data(input_path(path, "a cube", content=False)) as (file, size, _):
+    unreadable = FormatError.instead_of(OSError, f"{path}: $error", code="file-unreadable")
+    with unreadable, open_data(input_path(path, "a cube", content=False)) as (file, size, _):
         digest = hashlib.sha256(f"{size} ".encode())
         if size <= SAMPLES * SAMPLE_BYTES:
             digest.update(file.read(SAMPLES * SAMPLE_BYTES))
@@ -488,7 +490,7 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     #
     # Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
     # with rows of another number of cells than the header.
-    path = Path(path)
+    path = as_path(path)
     text = read_text(path, _MAX_TABLE, MAX_TABLE_ROWS)
     first = text.partition("\n")[0]
     # an older program separates the two columns of a frame index with blanks
@@ -642,6 +644,8 @@ class TableReader:
     # in the file, with wrong values too. ``given``: names of the tables in the file.
     #: Whether patterns may begin outside the folder of the file, as plain paths may.
     outside = False
+    #: Keys of files that are read by ranges of bytes, and not copied from URLs.
+    by_ranges: Collection[str] = ()
 
     def __init__(
         self,
@@ -741,8 +745,12 @@ class TableReader:
             return None
         if (path / "zarr.json").is_file():
             return as_path(origin_of(path))
-        fetch([] if key in _CUBES else [path])
+        self._fetch(key, [path])
         return path
+
+    def _fetch(self, key: str, paths: Iterable[Path]) -> None:
+        if key not in self.by_ranges:
+            fetch(paths)
 
     def _place(self, text: str) -> Path | None:
         # None for a name that cannot exist, and for a file of this machine in a file behind a URL.
@@ -769,9 +777,9 @@ class TableReader:
             base, pattern = (
                 (str(Path(*folders)), "/".join(parts[len(folders) :])) if self.outside else ("", text)
             )
-            folder = self._place(base) or Path(base)
+            folder = self._place(base)
             try:
-                matches = matching_files(folder, pattern)
+                matches = [] if folder is None else matching_files(folder, pattern)
             except ValueError as error:
                 self.problems.add(
                     f"{place} {key} = {shown(text)}: {error}", mend="shorten it", code="pattern-invalid"
@@ -782,11 +790,11 @@ class TableReader:
             paths += matches
             if not matches:
                 self.problems.add(
-                    f"{place} {key} = {text!r} matches no file in {folder}",
+                    f"{place} {key} = {text!r} matches no file in {folder or base}",
                     mend=_RELATIVE,
                     code="file-not-found",
                 )
-        fetch([] if key in _CUBES else paths)
+        self._fetch(key, paths)
         return tuple(dict.fromkeys(paths))
 
     def _note_special(self, found: str) -> None:
@@ -800,8 +808,6 @@ class TableReader:
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _ZARR_NAMES = {"zarr.json", "c"}
-#: Keys of cubes, which are read by ranges of bytes.
-_CUBES = ("cube", "cubes", "white", "dark")
 _RELATIVE = "paths count from the folder of this file"
 
 

@@ -42,6 +42,7 @@ from hyperpaint.base import (
     convert,
     documented,
     dtype_of,
+    input_path,
     label,
     one_of,
     rename_to_roles,
@@ -614,7 +615,7 @@ def read_reference(
         opened, path = rename_to_roles(source), None
         name = str(source.attrs.get("source", role))
     else:
-        path = as_path(source)
+        path = input_path(source, f"a {role} cube", content=False)
         opened, name = open_envi(path, unsaid="counts"), path.name
     FormatError.raise_if(
         "counts" not in opened,
@@ -856,7 +857,7 @@ def open_flightline(
     >>> line["counts"].chunks, line["time"].values[0], line.attrs["exposure_source"]
     (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
-    source = cube if isinstance(cube, xr.Dataset) else Path(cube)
+    source = cube if isinstance(cube, xr.Dataset) else input_path(cube, "a cube", content=False)
     inputs = FlightlineInputs(
         cube=source,
         timing=Timing(

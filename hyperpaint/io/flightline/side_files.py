@@ -1047,8 +1047,9 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     """
     # in chunks of steps: the calibration processes few steps at a time
     table = path if str(path).lower().endswith(".csv") else None
-    if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not is_zarr(path):
-        tables = sorted(Path(path).glob("*.csv"))
+    place = input_path(path, "a sweep") if isinstance(path, str | os.PathLike) and not is_zarr(path) else None
+    if place is not None and place.is_dir():
+        tables = sorted(place.glob("*.csv"))
         FormatError.raise_if(
             len(tables) > 1,
             f"{path}: {len(tables)} tables of a lab sweep",

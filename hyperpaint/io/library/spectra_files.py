@@ -63,6 +63,7 @@ from hyperpaint.base import (
     Problems,
     Progress,
     SchemaError,
+    fetch,
     find,
     needs_extra,
     open_input,
@@ -2075,6 +2076,7 @@ def read_envi_library(
     # file is not a library of reflectance, or has no wavelengths. Warns PaintWarning: Names are missing, or
     # an inferred property may make values wrong.
     header_path, data_path = find_pair(path)
+    fetch([data_path])
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     problems = Problems(f"{header_path.name} cannot be used", FormatError)
     stored_bytes, expected_bytes = (

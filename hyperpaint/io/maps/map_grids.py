@@ -43,6 +43,7 @@ from hyperpaint.base import (
     as_path,
     documented,
     head_of,
+    input_path,
     needs_extra,
     open_input,
     takes_quantities,
@@ -101,6 +102,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     # Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other
     # files; or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio
     # is not installed.
+    path = input_path(path, "a raster")
     with open_input(path, "a raster", _SIZES.max_raster_bytes) as file:
         first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
     driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")

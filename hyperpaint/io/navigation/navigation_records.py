@@ -60,8 +60,10 @@ from hyperpaint.base import (
     SchemaError,
     TimeError,
     UnitsError,
+    as_path,
     conversion_factor,
     documented,
+    fetch,
     input_path,
     is_number,
     is_plain_file,
@@ -589,7 +591,7 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     # correction: Conversion of the receiver's stamps to UTC; by default they are UTC.
     # Raises FormatError: The file is binary, or rows are not such pairs.
     # Raises TimeError: Stamps repeat or run backwards, or one clock jumps relative to the other.
-    path = Path(path)
+    path = as_path(path)
     lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     if lines and _iso_text(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
@@ -732,7 +734,7 @@ def read_lcf(path: str | Path) -> PoseRecord:
     # are
     #     listed.
     # Raises TimeError: Time runs backwards.
-    path = Path(path)
+    path = as_path(path)
     text = read_text(path, _LCF.max_bytes, MAX_TABLE_ROWS)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
@@ -766,6 +768,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     # Raises FormatError: The file is not such a record, or values are out of range; all are listed.
     # Raises TimeError: Time runs backwards.
     header_path, data_path = find_pair(path)
+    fetch([data_path])
     header = read_header(header_path)
     stored_bytes = data_path.stat().st_size
     expected_bytes = header.header_offset + header.lines * header.line_bytes
@@ -926,7 +929,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     # Returns PoseRecord: Angles in radian if all three columns are, else in degree.
     # Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
     # Raises TimeError: Time runs backwards.
-    path = Path(path)
+    path = as_path(path)
     # Comments, header and cells of a file.
     text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
     comments: dict[str, str] = {}
@@ -1214,7 +1217,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     # Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
     # range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
     # attitude in the whole log.
-    path = Path(path)
+    path = as_path(path)
     text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
     log, damaged, total = _Log(path), 0, 0
     for match in _SENTENCE.finditer(text):
@@ -1916,7 +1919,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     >>> points.attrs["crs"], points.along_track_pixel.values.tolist(), points.name.values.tolist()
     ('EPSG:32617', [10.5], ['A'])
     """
-    path = Path(path)
+    path = as_path(path)
     text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
     problems = Problems(f"{path} cannot be used as control points", FormatError)
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]

@@ -34,6 +34,7 @@ from hyperpaint.base import (
     Problem,
     SchemaError,
     TimeError,
+    as_path,
     head_of,
     label,
     one_of,
@@ -269,7 +270,7 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     # Returns AsdFile: Header, spectrum (wavelength), white reference and calibration blocks.
     # Raises FormatError: The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or
     #     contradictory.
-    path = Path(path)
+    path = as_path(path)
     data = read_limited(path, _MAX_BINARY_BYTES, "an ASD spectrometer's file")
     version = _VERSIONS.get(data[:3], 0)
     refuse(
@@ -531,7 +532,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     >>> read_asd_text(path).values
     array([[0.89, 0.91]])
     """
-    path = Path(path)
+    path = as_path(path)
     name, again = path.name, "export the spectra again"
     lines = text_lines(read_limited_text(path, _MAX_TEXT_BYTES, "a text export of spectra"))
     found = FormatError.raise_if_none(

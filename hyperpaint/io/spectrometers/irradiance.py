@@ -30,6 +30,7 @@ from hyperpaint.base import (
     TimeError,
     Times,
     UnitsError,
+    as_path,
     brightest_median,
     conversion_factor,
     convert,
@@ -127,7 +128,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     >>> table.units, table.values
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
-    path = Path(path)
+    path = as_path(path)
     name = path.name
     data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
     counts = {separator: data.count(separator.encode()) for separator in ",;\t"}

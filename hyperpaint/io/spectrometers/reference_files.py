@@ -10,7 +10,7 @@ from typing import Any
 
 import xarray as xr
 
-from hyperpaint.base import FormatError, PaintError, Problem, Problems
+from hyperpaint.base import FormatError, PaintError, Problem, Problems, as_path
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import is_zarr, list_groups, open_store
@@ -131,7 +131,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     >>> read_pairs(path)
     {'hood': ('svc_0012', 'svc_0013')}
     """
-    path = Path(path)
+    path = as_path(path)
     data = read_limited_text(path, _MAX_BYTES, "a list of paints and references")
     with FormatError.instead_of(
         UnicodeDecodeError, f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import VARIABLES, Floats, FormatError, Problem, Problems, conversion_factor, is_unit
+from hyperpaint.base import (
+    VARIABLES,
+    Floats,
+    FormatError,
+    Problem,
+    Problems,
+    as_path,
+    conversion_factor,
+    is_unit,
+)
 from hyperpaint.io.files.reading import (
     TABLE_DIALECTS,
     first_row,
@@ -275,7 +284,7 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     >>> read_certificate(path).values
     array([0.981, 0.985])
     """
-    path = Path(path)
+    path = as_path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, has_units=True)
     factor = _factor(headings, 1, path)
     FormatError.raise_if(
@@ -336,7 +345,7 @@ def read_panel_table(path: str | os.PathLike[str]) -> xr.DataArray:
     >>> read_panel_table(path).sel(sun_zenith=60.0).item()
     0.97
     """
-    path = Path(path)
+    path = as_path(path)
     data = read_limited_text(path, _MAX_BYTES, "a table of a panel's factors")
     lines = [
         (at, [cell.strip() for cell in line.split(",")])
@@ -483,7 +492,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     >>> lamp.panel_radiance.values.round(4), lamp.lamp_irradiance_u.values
     (array([0.0006, 0.0013]), array([0.005, 0.005]))
     """
-    path = Path(path)
+    path = as_path(path)
     sections: dict[str, list[tuple[int, str]]] = {}
     for name, rows in _sections(path, "!RADCAL"):
         sections.setdefault(name, []).extend(rows)
@@ -600,7 +609,7 @@ def read_angular_response(path: str | os.PathLike[str]) -> xr.Dataset:
     >>> float(read_angular_response(path)["cosine_error"].sel(azimuth=0, wavelength=410, zenith=-60))
     0.06
     """
-    path = Path(path)
+    path = as_path(path)
     problems = Problems(f"{path} cannot be used as an angular response", FormatError)
     azimuths: list[float] = []
     zenith: list[float] | None = None

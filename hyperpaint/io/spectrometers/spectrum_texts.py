@@ -41,6 +41,7 @@ from hyperpaint.base import (
     SchemaError,
     TimeError,
     UnitsError,
+    as_path,
     conversion_factor,
     discover,
     fetch,
@@ -143,7 +144,7 @@ def find_paths(
     problems = Problems("spectra cannot be opened", FormatError)
     files: list[Path] = []
     for entry in paths:
-        path = input_path(entry, expected)
+        path = input_path(entry, expected, content=False)
         if path.is_dir():
             discover(path)
             # pipes and broken links are kept, so that reading reports them
@@ -396,7 +397,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     >>> read_svc(path).target
     array([400., 800.])
     """
-    path = Path(path)
+    path = as_path(path)
     data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
     if (dialect := dialect_of(data[:200])) is None:
         ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
@@ -1491,7 +1492,7 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
     >>> read_spectrum_text(path).column("reflectance").values
     array([6.7, 6.8])
     """
-    path = Path(path)
+    path = as_path(path)
     lines = text_lines(read_limited_text(path, _MAX_TEXT_BYTES, "a text of a spectrometer"))
     text = "\n".join(lines)
     found = FormatError.raise_if_none(

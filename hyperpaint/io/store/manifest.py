@@ -34,10 +34,11 @@ from typing import Any, NamedTuple
 from hyperpaint.base import (
     FORMAT_VERSION,
     NUMERICS_VERSION,
+    FormatError,
     IncompleteStoreError,
-    MissingExtraError,
     Problem,
     StoreError,
+    file_system,
 )
 
 from .budget import counted
@@ -93,8 +94,6 @@ class Location:
         #
         # Raises `MissingExtraError`: The package for this kind of URL is not installed.
         # Raises `StoreError`: The kind of URL is unknown, or it cannot be opened.
-        from fsspec.core import url_to_fs  # type: ignore[import-untyped]
-
         try:
             text = os.fspath(path)
         except TypeError:
@@ -113,20 +112,13 @@ class Location:
                 mend="check the path",
                 code="path-not-plain",
             )
-        try:
-            fs, root = url_to_fs(text)
-        except ImportError as error:
-            raise MissingExtraError(
-                f"{text:.200} cannot be opened: {error}",
-                mend="install that package with python -m pip install",
-                code="dependency-missing",
-            ) from error
-        except Exception as error:  # every file system of fsspec has its own classes
-            raise StoreError(
-                f"{text:.200} cannot be opened: {error!s:.200}",
-                expected="a folder, or a URL that fsspec knows",
-                code="url-unusable",
-            ) from error
+        with StoreError.instead_of(
+            FormatError,
+            f"{text:.200} cannot be opened: $error",
+            expected="a folder, or a URL that fsspec knows",
+            code="url-unusable",
+        ):
+            fs, root = file_system(text)
         if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
             folder = Path(root)
             return cls(str(folder), str(folder), fs, folder)

@@ -50,6 +50,7 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    forget,
     has_own_means,
     head_of,
     one_of,
@@ -598,6 +599,8 @@ class StoreWriter:
             fs.rm(sorted(old))
             old = set()
         parent, _, name = location.url.rpartition("/")
+        if "/" not in location.root.strip("/"):  # the root of a bucket
+            parent = location.url
         beside = Location.of(f"{parent}/{joined(f'.partial-{name}', job.group)}")
         if beside.has(""):
             fs.rm(beside.root, recursive=True)
@@ -607,11 +610,21 @@ class StoreWriter:
         def put_in_place() -> None:
             if old:  # no reader finds metadata of one group and chunks of another
                 keys = fs.find(build.root)
+                with self._lock:
+                    root, listed = location.metadata(""), listed_documents(location)
+                    others = {
+                        name: document
+                        for name, document in listed.items()
+                        if name and not f"{name}/".startswith(f"{job.group}/")
+                    }
+                    if root is not None and job.group:
+                        location.write_json(with_listed(root, others), METADATA)
                 fs.rm(place.key(METADATA))
                 moved = [place.key(key.removeprefix(build.root).lstrip("/")) for key in keys]
                 fs.copy(keys, moved)
                 fs.rm(sorted(old.difference(moved)) + keys)
-            place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
+            with self._lock:
+                place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
 
         return put_in_place
 
@@ -652,6 +665,8 @@ class StoreWriter:
 
     def finish(self) -> None:
         # Write the consolidated metadata of the root, and the manifest
+        if self._location.local is None:
+            forget(self._location.url)
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
         published = [name for name in self._write.contents if location.has(name, METADATA)]

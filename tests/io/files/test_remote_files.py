@@ -3,8 +3,10 @@
 import contextlib
 import pickle
 import re
+import time
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from hyperpaint.base import remote_files
 from hyperpaint.base.errors import CollectError, FormatError, StoreError
 from hyperpaint.base.remote_files import UrlPath, as_path, mirrored, url_of
 from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import INPUTS, list_groups
 
 
@@ -127,6 +130,34 @@ def test_every_reader_takes_a_url(scheme: str, flight: Path, local: Path, reques
         assert hp.verify(f"{url}/lot.zarr").ok
 
 
+def test_files_beside_a_cube_are_found(day: str, flight: Path) -> None:
+    lines = []
+    for home in (flight.parent, f"{day}/flight"):
+        names = {"dark": "dark/raw_0.hdr", "calibration": "calibration.zarr", "nav": "flight/imu_gps.txt"}
+        files = {key: f"{home}/{name}" for key, name in names.items()}
+        index = f"{home}/flight/frameIndex_0.txt"
+        lines.append(hp.open_flightline(f"{home}/flight/raw_0.hdr", frame_index=index, **files))
+    xr.testing.assert_identical(lines[1].drop_attrs(), lines[0].drop_attrs())
+    assert lines[1].attrs["exposure_source"] == lines[0].attrs["exposure_source"] == "settings.txt"
+
+
+def test_threads_read_one_file_once(day: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote_files, "ASK_AGAIN_S", 60.0)
+    memory = fsspec.filesystem("memory")
+    plain, copied = memory.get, list[str]()
+
+    def slow(names: list[str], places: list[str]) -> None:
+        copied.extend(names)
+        time.sleep(0.1)
+        plain(names, places)
+
+    monkeypatch.setattr(type(memory), "get", staticmethod(slow))
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(hp.read_regions, [f"{day}/flight/regions.geojson"] * 4))
+    assert len(copied) == 1
+    assert all(regions == found[0] for regions in found)
+
+
 def test_a_local_collect_may_name_urls(day: str, flight: Path, local: Path, tmp_path: Path) -> None:
     text = flight.read_text(encoding="utf-8")
     for name in ("flight/", "asd/", "dark/", "calibration.zarr", "svc/", "asd_reflectance/"):
@@ -145,6 +176,12 @@ def test_a_collect_behind_a_url_names_no_file_of_this_machine(day: str, tmp_path
         memory.pipe(name, other.encode())
         with refusal(CollectError, "file-not-found", "frame_index"):
             hp.open_collect(f"{day}/flight/collect.toml")
+    for pattern in (f"{tmp_path}/*.txt", "../" * 20 + f"{tmp_path}/*.txt"[1:]):
+        memory.pipe(name, re.sub(r"(?m)^files = .*asd.*$", f'files = "{pattern}"', text).encode())
+        error = expect_error(
+            CollectError, "file-not-found", lambda: hp.open_collect(f"{day}/flight/collect.toml")
+        )
+        assert "secret" not in str(error)
 
 
 def test_a_web_server_gives_files_by_name(flight: Path, tmp_path: Path) -> None:
@@ -153,10 +190,16 @@ def test_a_web_server_gives_files_by_name(flight: Path, tmp_path: Path) -> None:
         xr.testing.assert_equal(line.load(), open_envi(flight.parent / "flight/raw_0.hdr").load())
         with refusal(FormatError, "file-unreadable", f"{address}/none.sig"):
             hp.open_svc(f"{address}/none.sig")
+    with open(flight.parent / "flight/large", "wb") as file:
+        file.truncate(20 * 2**20)
     with web_server(flight.parent, ranges=False) as address:
         line = open_envi(f"{address}/flight/raw_0.hdr")
-        with refusal(FormatError, "range-missing", "raw_0", "ranges"):
-            line["counts"].isel(along_track=4).load()
+        for read in (
+            line["counts"].isel(along_track=4).load,
+            lambda: sampled_digest(mirrored(f"{address}/flight/large")),
+        ):
+            with refusal(FormatError, "range-missing", "ranges"):
+                read()
     with refusal(FormatError, "url-unusable", f"{address}/red.sig"):  # nobody answers there now
         hp.open_svc(f"{address}/red.sig")
 
@@ -168,6 +211,9 @@ def test_urls_that_nothing_can_read(day: str) -> None:
         (FormatError, "url-not-plain", "::", lambda: hp.read_regions(f"simplecache::{day}/cars.geojson")),
         (FormatError, "file-unreadable", day, lambda: hp.read_regions(f"{day}/none.geojson")),
         (StoreError, "url-not-local", day, lambda: hp.simulate_collect(f"{day}/new")),
+        (FormatError, "url-not-plain", "query", lambda: hp.open_svc("https://bucket/red.sig?sign=1")),
+        (FormatError, "path-invalid", "..", lambda: hp.write_regions([], f"{day}/../x.json", overwrite=True)),
+        (FormatError, "url-not-plain", "chained", lambda: hp.write_regions([], f"simplecache::{day}/x.json")),
     )
 
 
@@ -180,8 +226,9 @@ def test_products_behind_a_url(day: str, local: Path) -> None:
     hp.report.write_site(local, f"{day}/page")
     names = {Path(name).name for name in memory.find(f"{day}/page".removeprefix("memory:/"))}
     assert {"index.html", "site.json", "zarr.json"} <= names
-    sky = hp.open_store(f"{day}/page/store.zarr", "flightlines/raw_0")
-    assert sky.sizes["along_track"] == 35
+    hp.report.write_site(local, f"{day}/page", flightlines=["raw_0"], overwrite=True)
+    assert list_groups(f"{day}/page/store.zarr") == ["flightlines/raw_0"]  # as in a folder
+    assert hp.verify(f"{day}/page/store.zarr").ok
 
 
 def test_the_old_group_stays_until_the_new_one_is_complete(day: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,13 +240,15 @@ def test_the_old_group_stays_until_the_new_one_is_complete(day: str, monkeypatch
     hp.to_store(line(1.0, 96), store, "a")
     replace = partial(hp.to_store, line(2.0), store, "a", overwrite=True)
     with monkeypatch.context() as patch:  # killed when the new group is complete
-        patch.setattr(memory, "rm", mock.Mock(side_effect=KeyboardInterrupt))
+        patch.setattr(type(memory), "rm", mock.Mock(side_effect=KeyboardInterrupt))
         expect_error(KeyboardInterrupt, None, replace)
     xr.testing.assert_equal(hp.open_store(store, "a").load(), line(1.0, 96))
     with monkeypatch.context() as patch:  # killed while the server copies it
-        patch.setattr(memory, "copy", mock.Mock(side_effect=KeyboardInterrupt))
+        patch.setattr(type(memory), "copy", mock.Mock(side_effect=KeyboardInterrupt))
         expect_error(KeyboardInterrupt, None, replace)
     expect_error(StoreError, None, lambda: hp.open_store(store, "a"))
+    with pytest.raises((KeyError, FileNotFoundError)):
+        xr.open_zarr(store, group="a")
     replace()
     xr.testing.assert_equal(hp.open_store(store, "a").load(), line(2.0))
     assert hp.verify(store).ok
