@@ -101,9 +101,10 @@ def differences(store: str, local: Path) -> list[str]:
     for path in (store, local):
         manifest = Manifest.read(Location.of(path))
         groups = {} if manifest is None else manifest.groups
-        arrays.append({
-            f"{group}/{name}": array.digest for group, entry in groups.items() for name, array in entry.arrays.items()
-        })  # fmt: skip
+        rows = (
+            (f"{group}/{name}", array) for group in groups for name, array in groups[group].arrays.items()
+        )
+        arrays.append({name: array.digest for name, array in rows})
     return sorted(name for name in arrays[0] | arrays[1] if arrays[0].get(name) != arrays[1].get(name))
 
 

@@ -84,6 +84,7 @@ from hyperpaint.io.store import (
     INPUTS,
     RETRIES,
     SETTINGS,
+    BlockBar,
     Codec,
     Demand,
     Layout,
@@ -301,14 +302,21 @@ def write_groups(
     ) as turn:
 
         def write(name: str) -> None:
-            if announce is not None and (line := announce(name)):
-                sys.stderr.write(line)
+            if announce is not None and at_once == 1:
+                sys.stderr.write(announce(name))
             dataset = products[name] if from_stored is None else from_stored(name, turn)
             turn.write(name, dataset, progress=announce is not None and at_once == 1)
+            if bar is not None:
+                bar.advance()
 
-        names = list(products)
-        for group in (names[:1], names[1:]):  # the others may need the first
-            in_parallel(write, group, at_once)
+        with contextlib.ExitStack() as shown:
+            bar = None
+            if announce is not None and at_once > 1:  # one bar for all groups
+                shown.enter_context(contextlib.redirect_stdout(sys.stderr))
+                bar = shown.enter_context(BlockBar(len(products)))
+            names = list(products)
+            for group in (names[:1], names[1:]):  # the others may need the first
+                in_parallel(write, group, at_once)
     return Outcome(out, tuple(products), tuple(complete))
 
 

@@ -322,6 +322,7 @@ class Dialect(NamedTuple):
     assigns: str = "="  # between key and value of a line of the header
     data: str = "data"  # key of the line before the rows
     headings: int = 0  # lines of headings between that line and the rows
+    separator: str | None = None  # between the columns; None for blanks
     # Keys of the header in lower case that have another name here, such as ``instrument``
     keys: Mapping[str, str] = {}
     units: Mapping[str, str] = {}  # quantities by the words of the file that differ from ours
@@ -444,7 +445,10 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         (
             number,
             line,
-            [cell_number(cell) for cell in line.replace("n. def.", "n.def.").split(None, count + 1)],
+            [
+                cell_number(cell)
+                for cell in line.replace("n. def.", "n.def.").split(dialect.separator, count + 1)
+            ],
         )
         for number, line in enumerate(lines[first_row:], start=first_row + 1)
         if line.strip()

@@ -189,6 +189,7 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
         suffix=".sed",
         assigns=":",
         headings=1,
+        separator=",",
         keys={"model": "instrument", "gps clock": "gpstime"},
         units={"w/m^2/sr/nm": "radiance"},
         columns=(0, 2, 1, 3),
@@ -199,7 +200,7 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
     path.write_text(
         "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "
         + "27.05.2025 09:39:32, 27.05.2025 09:42:59\nData:\nWvl Target Reference Percent\n"
-        + "350 0.04 0.08 50\n351 0.02 0.08 25\n"
+        + "350,0.04,0.08,50\n351,0.02,0.08,25\n"
     )
     found = open_svc(tmp_path)
     assert (found.attrs["instrument"], found["instrument"].item()) == ("PSR", "PSR-3500")
