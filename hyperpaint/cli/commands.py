@@ -301,7 +301,7 @@ def process(collect: Path, out: Path | None, **options: Any) -> None:
     epilog="""\b
 Examples:
   hyperpaint virtual collect.toml --out lot.icechunk
-  hyperpaint virtual collect.toml --out lot.icechunk --prefix s3://bucket/flight
+  hyperpaint virtual s3://bucket/flight/collect.toml --out lot.icechunk
 
 \b
 Then, in Python:
@@ -317,11 +317,6 @@ Raw files that lie neither beside the store nor below its folder are read only i
 @takes(
     "workflows.pipeline:virtualise",
     out={"metavar": "STORE", "type": PLACE, "help": "A folder, a repository of icechunk."},
-    prefix={
-        "metavar": "URL",
-        "help": "Address of the raw files, laid out as below the folder of COLLECT.toml: s3, or http or "
-        "https without a port. Region, endpoint and keys of s3 come from the environment (AWS_...).",
-    },
     alignment={"help": "See process."},
 )
 def virtual(collect: Path, out: Path, **options: Any) -> None:

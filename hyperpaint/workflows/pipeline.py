@@ -98,7 +98,6 @@ from hyperpaint.io.store import (
     check_above,
     check_codec,
     check_room,
-    check_url,
     client_in_force,
     content_of,
     errors_of_the_cluster,
@@ -981,7 +980,6 @@ _COPYING = SimpleNamespace(
     #: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
     max_copied_share=0.1,
     min_copied_slabs=4,  # number of slabs that may always be copied
-    sample_bytes=16 * 1024,
 )
 
 _INCOMPLETE = "and incomplete"
@@ -991,7 +989,6 @@ def virtualise(
     collect: str | Path,
     out: str | Path,
     *,
-    prefix: str | None = None,
     alignment: Alignment | None = None,
     accept: Collection[str] = (),
     overwrite: bool = False,
@@ -1011,9 +1008,6 @@ def virtualise(
         A ``collect.toml``; see `hyperpaint.open_collect`.
     out
         A folder, for a repository of icechunk.
-    prefix
-        URL (s3, http, https) of a copy of the folder of ``collect``, such as ``s3://bucket/flight``: the
-        store refers to this copy. Samples of the copy are compared with the local files.
     alignment, accept
         See `hyperpaint.process`.
     overwrite
@@ -1050,14 +1044,12 @@ def virtualise(
     )
     out = Path(out)
     refuse_kerchunk(out, write=True)
-    if prefix is not None:
-        check_url(prefix)
     opened, tree = opened_groups(
         collect, 32, {"to": "reflectance", "reflectance": "none", "alignment": alignment}
     )
     refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "virtual")
     lines = {name: tree[name] for name in opened.cubes}
-    cubes = _cubes(opened, lines, prefix)
+    cubes = _cubes(opened, lines)
     if out.exists():
         # difference of the existing store from the collect, in words; empty if there is none
         difference, summary = "", summary_of({name: (line, cubes[name]) for name, line in lines.items()})
@@ -1115,13 +1107,10 @@ def virtualise(
     )
 
 
-def _cubes(
-    opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
-) -> dict[str, VirtualCube]:
+def _cubes(opened: OpenedCollect, lines: Mapping[str, xr.Dataset]) -> dict[str, VirtualCube]:
     # references to the slabs in the raw files, by group
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
-    base = opened.settings.path.absolute().parent
     cubes = {}
     for name, line in lines.items():
         try:
@@ -1140,47 +1129,13 @@ def _cubes(
                         code="counts-not-raw",
                     )
                 arrays.append(array)
-            files = tuple(_raw_file(as_path(array.path), base, prefix) for array in arrays)
+            urls = (url_of(array.path) or f"file://{os.path.realpath(array.path)}" for array in arrays)
+            files = tuple(map(RawFile.of, urls))
             cubes[name] = _cube(line, arrays, files)
         except (FormatError, StoreError) as error:
             problems.add_error(f"/{name}", error)
     problems.raise_if_any()
     return cubes
-
-
-def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
-    # the local file, or its copy below the URL ``prefix``
-    url = url_of(path)
-    local = RawFile.of(url or f"file://{os.path.realpath(path)}")
-    if prefix is None or url is not None:
-        return local
-    StoreError.raise_if(
-        not path.is_relative_to(base),
-        f"{path} is outside {base}, the folder of which {prefix} is a copy",
-        code="file-outside-prefix",
-    )
-    from fsspec.core import url_to_fs  # type: ignore[import-untyped]
-
-    copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
-    StoreError.raise_if(
-        copy.size != local.size,
-        f"{copy.url}: {copy.size} bytes",
-        expected=f"{local.size}, as {path}",
-        mend="copy it again",
-        code="copy-differs",
-    )
-    fs, key = url_to_fs(copy.url)
-    with open(path, "rb") as file:
-        for start in (0, local.size // 2, max(0, local.size - _COPYING.sample_bytes)):
-            file.seek(start)
-            stop = min(start + _COPYING.sample_bytes, local.size)
-            StoreError.raise_if(
-                fs.cat_file(key, start=start, end=stop) != file.read(stop - start),
-                f"{copy.url} differs from {path} at byte {start} or after it",
-                mend="copy it again",
-                code="copy-differs",
-            )
-    return copy
 
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:

@@ -22,6 +22,7 @@ from support.tiny_collects import without_references
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
 from hyperpaint.cli.info_command import facts_of_path
+from hyperpaint.io.store import check_url
 from hyperpaint.workflows.pipeline import virtualise
 
 icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
@@ -201,12 +202,19 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "prefix",
+    "url",
     ["memory://flight", "http://127.0.0.1:1/x", "simplecache::http://host/x", "http://host/x::file:///etc",
      "http://user@host/x", "http://host/x/../y", "http://host/%2e%2e/y", "s3://bucket\\x", "file:///etc/../x"],
 )  # fmt: skip
-def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix: str) -> None:
-    expect_error(StoreError, "url-unusable", lambda: virtualise(collect, tmp_path / NAME, prefix=prefix))
+def test_urls_that_icechunk_does_not_read(url: str) -> None:
+    expect_error(StoreError, "url-unusable", lambda: check_url(url))
+
+
+def test_a_collect_where_icechunk_does_not_read(collect: Path, tmp_path: Path) -> None:
+    memory = fsspec.filesystem("memory")
+    memory.put(str(collect.parent), "/virtual", recursive=True)
+    call = partial(virtualise, "memory://virtual/collect.toml", tmp_path / NAME)
+    expect_error(FormatError, "url-unusable", call)
     assert not list(tmp_path.iterdir())
 
 
@@ -277,14 +285,14 @@ def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     s3 = fsspec.filesystem("s3", skip_instance_cache=True)
     name = f"flights-{uuid.uuid4().hex}"  # all servers of a process share their buckets
     s3.mkdir(name)
-    s3.put(f"{collect.parent / 'flight'}/", f"{name}/day/flight/", recursive=True)
+    s3.put(f"{collect.parent}/", f"{name}/day/", recursive=True)
     yield f"{name}/day"
     served.stop()
     fsspec.get_filesystem_class("s3").clear_instance_cache()
 
 
 def test_raw_files_in_a_bucket(collect: Path, wanted: xr.Dataset, tmp_path: Path, bucket: str) -> None:
-    virtualise(collect, tmp_path / NAME, prefix=f"s3://{bucket}")
+    virtualise(f"s3://{bucket}/collect.toml", tmp_path / NAME)
     expect_error(StoreError, f"allow='s3://{bucket}/flight'", lambda: hp.io.open_virtual(tmp_path / NAME))
     assert_same(hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}"), wanted)
     s3 = fsspec.filesystem("s3")
