@@ -47,7 +47,8 @@ def test_commands_have_the_options_that_pages_give_them(name):
             continue
         found = main.get_command(context, command)
         assert found is not None, f"{name}: there is no command {command}"
-        options = {spelling for each in found.params for spelling in (*each.opts, *each.secondary_opts)}
+        given_to = [*found.params, *main.params]
+        options = {spelling for each in given_to for spelling in (*each.opts, *each.secondary_opts)}
         options |= set(found.context_settings.get("help_option_names", ["--help"]))
         given = {word.partition("=")[0] for word in words if re.match(r"--[a-z]", word)}
         assert given <= options, f"{name}: hyperpaint {command} has no {given - options}"

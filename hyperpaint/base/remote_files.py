@@ -333,7 +333,7 @@ def byte_size(path: Path) -> int:
     if (url := url_of(origin_of(path))) is not None:
         fs, key = file_system(url)
         with _errors_of(url):
-            return int(fs.du(key))
+            return sum(int(row["size"] or 0) for row in fs.find(key, detail=True).values())
     files = [path, *path.rglob("*")]
     return sum(file.stat().st_size for file in files if file.is_file())
 

@@ -569,6 +569,12 @@ class FieldDayRun:
         return self.outcomes["signatures"].state == "failed"
 
     @functools.cached_property
+    def stored_inputs(self) -> dict[str, Any]:
+        # Digests of the inputs of the store's groups, which no step after `process` changes.
+        groups = (group for group in list_groups(self.store) if group)
+        return {group: open_store(self.store, group).attrs.get(INPUTS) for group in groups}
+
+    @functools.cached_property
     def located_lines(self) -> tuple[str, ...]:
         # Names of the flight lines with navigation, from which maps are made.
         lines = ((name, open_store(self.store, f"{LINES}{name}")) for name in lines_of_store(self.store))
@@ -600,11 +606,7 @@ class FieldDayRun:
         if step.inputs == _OF_MAPS and self.is_visible:
             paths += tuple(map(colours_of, paths))
         inputs = [
-            {
-                group: open_store(self.store, group).attrs.get(INPUTS)
-                for group in list_groups(self.store)
-                if group
-            },
+            self.stored_inputs,
             {entry: _INPUTS[entry](self) for entry in step.inputs},
         ]
         record = self.record
