@@ -3,8 +3,8 @@
 ``python benchmarks/bucket.py --lines 200 --workers 1 2 4 --kills 20 --clients 5`` starts an S3 server
 (moto) in a process of its own, puts a simulated collect of many short flight lines into it, and processes it
 from there into the same bucket. All connections pass a relay that counts their bytes. It prints a row for
-every cluster: seconds, bytes read and written over the least possible (cubes and texts once; the objects of
-the store once), and whether the arrays equal those of a run on local files. Then workers, and at last the
+every cluster: seconds, bytes read and written over the least possible (inputs once; the objects of the store
+once), and whether the arrays equal those of a run on local files. Then workers, and at last the
 whole program, are killed at random moments; the run that follows must give the same arrays, and `verify` must
 find them whole.
 """
@@ -155,8 +155,8 @@ def main() -> None:
         local = hp.process(collect, Path(scratch, "lot.zarr"))
         print(f"local files, threads of this machine: {time.perf_counter() - begin:.1f} s")
         fsspec.filesystem("s3").put(str(flight), f"{url}/flight", recursive=True)
-        cubes = sum(path.stat().st_size for path in flight.rglob("*") if path.is_file() and not path.suffix)
-        texts = sum(path.stat().st_size for path in flight.rglob("*.*") if path.is_file())
+        files = [path for path in flight.rglob("*") if path.is_file() and "truth.zarr" not in path.parts]
+        inputs = sum(path.stat().st_size for path in files)
         there = f"{url}/flight/collect.toml"
         for workers in options.workers:
             store = f"{url}/lot_{workers}.zarr"
@@ -168,7 +168,7 @@ def main() -> None:
             size = stored_bytes(store)
             print(
                 f"{workers} workers: {seconds:.1f} s, read {read / 1e6:.1f} MB "
-                f"({read / (cubes + texts):.2f} of cubes and texts), written {written / 1e6:.1f} MB "
+                f"({read / inputs:.2f} of the inputs), written {written / 1e6:.1f} MB "
                 f"({written / size:.2f} of the store), differences: {differences(store, local) or 'none'}",
                 flush=True,
             )

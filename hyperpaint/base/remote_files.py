@@ -360,7 +360,7 @@ def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
 def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
     # Return ``size`` bytes from each of the places of a file from `open_data`; requests of a URL run at once.
     if isinstance(file, RemoteData):
-        return file.pieces(starts, size)
+        return file.pieces(starts, [start + size for start in starts])
     pieces = []
     for start in starts:
         file.seek(start)
@@ -378,19 +378,22 @@ class RemoteData(io.RawIOBase):
         self._position = offset
         return offset
 
-    def pieces(self, starts: list[int], size: int) -> list[bytes]:
+    def pieces(self, starts: list[int], ends: list[int]) -> list[bytes]:
+        # Return the bytes of ranges; those close to each other come in one request.
         from fsspec.utils import merge_offset_ranges  # type: ignore[import-untyped]
 
-        ends = [start + size for start in starts]
         ranges = merge_offset_ranges([self._key] * len(starts), starts, ends, max_gap=MAX_GAP_BYTES)
-        firsts, ends = ranges[1], [min(end or 0, self._size) for end in ranges[2]]
-        blocks = [self._block(firsts[0], ends[0])] if firsts else []  # shows whether the server knows ranges
+        firsts, lasts = ranges[1], [min(end or 0, self._size) for end in ranges[2]]
+        blocks = [self._block(firsts[0], lasts[0])] if firsts else []  # shows whether the server knows ranges
         with _errors_of(self._url):
-            blocks += self._fs.cat_ranges(ranges[0][1:], firsts[1:], ends[1:], on_error="raise")
-        for block, start, end in zip(blocks, firsts, ends, strict=True):
-            self._check(block, start, end)
-        places = [(start, bisect.bisect_right(firsts, start) - 1) for start in starts]
-        return [blocks[block][start - firsts[block] :][:size] for start, block in places]
+            blocks += self._fs.cat_ranges(ranges[0][1:], firsts[1:], lasts[1:], on_error="raise")
+        for block, first, last in zip(blocks, firsts, lasts, strict=True):
+            self._check(block, first, last)
+        places = [bisect.bisect_right(firsts, start) - 1 for start in starts]
+        return [
+            blocks[block][start - firsts[block] : end - firsts[block]]
+            for block, start, end in zip(places, starts, ends, strict=True)
+        ]
 
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")

@@ -55,6 +55,7 @@ from hyperpaint.base import (
     Ints,
     Problem,
     Problems,
+    RemoteData,
     SchemaError,
     as_path,
     documented,
@@ -747,11 +748,21 @@ class EnviArray(BackendArray):
         edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
         plane_and_row = np.unravel_index(np.arange(len(lines)), out.shape[:2])
         columns_kept = _selector(samples)
+        # the requests of a URL run at once
+        begins, ends = lines[edges[:-1]], lines[np.array(edges[1:]) - 1]
+        places = [
+            (self.offset + samples * self.stored.itemsize).tolist()
+            for samples in (begins * columns + first, ends * columns + last + 1)
+        ]
+        blocks = iter(file.pieces(*places)) if isinstance(file, RemoteData) else None
         for start, stop in itertools.pairwise(edges):
             first_line = int(lines[start])
             buffer = np.empty((int(lines[stop - 1]) - first_line + 1, columns), self.stored)
             buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
-            self.fill_samples(file, first_line * columns + first, buffer_part)
+            if blocks is None:
+                self.fill_samples(file, first_line * columns + first, buffer_part)
+            else:
+                buffer_part[:] = np.frombuffer(next(blocks), self.stored)
             rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
             out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 

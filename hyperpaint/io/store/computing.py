@@ -540,13 +540,15 @@ def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], max_pa
         return list(pool.map(function, items))
 
 
-def on_workers(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+def on_workers(
+    function: Callable[[_Item], _Result], items: Iterable[_Item], threads: int | None = None
+) -> list[_Result]:
     # Return the results of a function for all items: on the workers of the cluster in force, else on threads.
     client = client_in_force()
     if client is not None:
         with errors_of_the_cluster("cannot read on the cluster"):
             return list(client.gather(client.map(function, list(items), pure=False, retries=RETRIES)))
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         return list(pool.map(function, items))
 
 

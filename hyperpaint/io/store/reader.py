@@ -999,6 +999,9 @@ def _metadata_problems(location: Location, group: str, entry: GroupEntry | None)
         yield f"/{group}: {error!s:.200}"
 
 
+_READERS_AT_URL = 16
+
+
 def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
     # Number of chunks of an array, and their differences from its manifest entry
     array_path = joined(group, name)
@@ -1020,7 +1023,9 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
             return "the chunk is missing [chunk-missing]"
         return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
 
-    ends = dict(zip(keys, on_workers(end, keys), strict=True))
+    # behind a URL threads wait for answers
+    threads = _READERS_AT_URL if location.local is None else None
+    ends = dict(zip(keys, on_workers(end, keys, threads), strict=True))
     faults = [f"/{array_path}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
     if not faults and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
         faults = [
