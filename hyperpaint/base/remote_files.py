@@ -37,6 +37,8 @@ MAX_COPY_BYTES = 4 * 2**30
 MAX_LISTED = 100_000
 #: Longest gap between ranges that one request reads [byte].
 MAX_GAP_BYTES = 2**16
+#: Size of files that are read whole and kept for a while [byte].
+SMALL_BYTES = 4 * 2**20
 
 
 def url_of(path: str | os.PathLike[str]) -> str | None:
@@ -354,7 +356,7 @@ def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
         state = fs.info(key)
     version = int.from_bytes(hashlib.sha256(_content_state(state).encode()).digest()[:7])
     size = int(state["size"])
-    yield RemoteData(fs, key, url, size), size, version
+    yield RemoteData(fs, key, url, size, version), size, version
 
 
 def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
@@ -368,10 +370,19 @@ def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
     return pieces
 
 
+@functools.lru_cache(maxsize=16)
+def _small_file(url: str, version: int) -> bytes:  # noqa: ARG001
+    # A small file is read several times: for its digest, for checks, and to process it.
+    fs, key = file_system(url)
+    with _errors_of(url):
+        return bytes(fs.cat_file(key))
+
+
 class RemoteData(io.RawIOBase):
     # A file behind a URL; every read is one request for a range of bytes.
-    def __init__(self, fs: Any, key: str, url: str, size: int) -> None:
-        self._fs, self._key, self._url, self._size, self._position = fs, key, url, size, 0
+    def __init__(self, fs: Any, key: str, url: str, size: int, version: int) -> None:
+        self._fs, self._key, self._url, self._size, self._version = fs, key, url, size, version
+        self._position = 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         assert whence == os.SEEK_SET
@@ -380,6 +391,8 @@ class RemoteData(io.RawIOBase):
 
     def pieces(self, starts: list[int], ends: list[int]) -> list[bytes]:
         # Return the bytes of ranges; those close to each other come in one request.
+        if self._size <= SMALL_BYTES:
+            return [self._block(*limits) for limits in zip(starts, ends, strict=True)]
         from fsspec.utils import merge_offset_ranges  # type: ignore[import-untyped]
 
         ranges = merge_offset_ranges([self._key] * len(starts), starts, ends, max_gap=MAX_GAP_BYTES)
@@ -405,6 +418,10 @@ class RemoteData(io.RawIOBase):
         return end - start
 
     def _block(self, start: int, end: int) -> bytes:
+        if self._size <= SMALL_BYTES:
+            content = _small_file(self._url, self._version)
+            self._check(content, 0, self._size)
+            return content[start:end]
         with _errors_of(self._url):
             content = bytes(self._fs.cat_file(self._key, start=start, end=end))
         self._check(content, start, end)
