@@ -80,6 +80,25 @@ def joined(*parts: str) -> str:
     return "/".join(part for part in parts if part)
 
 
+def _json_object(raw: bytes, where: str) -> dict[str, Any]:
+    IncompleteStoreError.raise_if(
+        len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES,
+        f"{where} has more than {MAX_VALUES} values",
+        code="file-too-large",
+    )
+    try:
+        document: dict[str, Any] = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise IncompleteStoreError(f"{where} is damaged: {error!s:.200}", code="metadata-damaged") from None
+    IncompleteStoreError.raise_if(
+        not isinstance(document, dict),
+        f"{where} is damaged",
+        expected="a JSON object",
+        code="metadata-damaged",
+    )
+    return document
+
+
 @dataclass(frozen=True)
 class Location:
     # Location of a store; metadata and chunks are read and written by their keys.
@@ -180,26 +199,7 @@ class Location:
     def read_json(self, *parts: str) -> dict[str, Any] | None:
         # Return a JSON object, None if there is no file; IncompleteStoreError for a damaged one.
         raw = self.read(*parts)
-        if raw is None:
-            return None
-        IncompleteStoreError.raise_if(
-            len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES,
-            f"{self.key(*parts)} has more than {MAX_VALUES} values",
-            code="file-too-large",
-        )
-        try:
-            document: dict[str, Any] = json.loads(raw)
-        except (ValueError, RecursionError) as error:
-            raise IncompleteStoreError(
-                f"{self.key(*parts)} is damaged: {error!s:.200}", code="metadata-damaged"
-            ) from None
-        IncompleteStoreError.raise_if(
-            not isinstance(document, dict),
-            f"{self.key(*parts)} is damaged",
-            expected="a JSON object",
-            code="metadata-damaged",
-        )
-        return document
+        return None if raw is None else _json_object(raw, self.key(*parts))
 
     def metadata(self, path: str) -> dict[str, Any] | None:
         # Return the ``zarr.json`` of a node without consolidated metadata, None if there is no node.
@@ -500,8 +500,8 @@ class Manifest:
         # Return the manifest of a store, None if it has none, or a damaged one with ``ignore_damage``.
         where = location.key(MANIFEST_NODE, METADATA)
         try:
-            document = location.read_json(MANIFEST_NODE, METADATA)
-            return None if document is None else cls.from_document(document, where)
+            raw = location.read(MANIFEST_NODE, METADATA)
+            return None if raw is None else _parsed(raw, where)
         except IncompleteStoreError:
             if ignore_damage:
                 return None
@@ -541,6 +541,12 @@ class Manifest:
                     with contextlib.suppress(IncompleteStoreError):  # the group will be written again
                         groups[name] = entry_of(location, name)
         return replace(self, groups=groups, writes=tuple(writes))
+
+
+@functools.lru_cache(maxsize=4)
+def _parsed(raw: bytes, where: str) -> Manifest:
+    # Opening every group of a store reads its manifest, which lists all groups.
+    return Manifest.from_document(_json_object(raw, where), where)
 
 
 @dataclass(frozen=True)
