@@ -181,7 +181,9 @@ def main() -> None:
                     runs += 1
                     client = process(there, store, running.scheduler_address)
                     while client.poll() is None and killed < number:
-                        time.sleep(rng.uniform(0.5, 4.0) if kind == "worker" else rng.uniform(5.0, 40.0))
+                        time.sleep(rng.uniform(2.0, 6.0) if kind == "worker" else rng.uniform(5.0, 40.0))
+                        if kind == "worker" and len(running.scheduler.workers) < 2:
+                            continue  # a nanny gives up a worker that dies while it starts
                         pids = [worker.pid for worker in running.workers.values() if worker.pid]
                         pid = client.pid if kind == "client" else rng.choice(pids or [0])
                         if pid and client.poll() is None:
