@@ -169,11 +169,12 @@ def place_in_mirror(url: str) -> Path:
     FormatError.raise_if(
         ".." in parts or not parts, f"{url:.200}", expected="a URL without '..'", code="path-invalid"
     )
+    # a store names the collect that it was made from: no secret may be in it
     FormatError.raise_if(
-        "?" in url,
-        f"{url.partition('?')[0]:.200}?...: a URL with a query",
+        "?" in url or re.match(r"[^/]*:[^/]*@", rest),
+        f"{scheme}://{rest.partition('?')[0].rpartition('@')[2]:.200}: a URL with a query or a password",
         expected="a plain URL",
-        mend="download the file, or use the URL of the bucket (s3://...)",
+        mend="give credentials by the environment, or download the file",
         code="url-not-plain",
     )
     return _mirror()[0].joinpath(scheme, *parts)
@@ -205,17 +206,21 @@ def discover(path: str | os.PathLike[str]) -> None:
         if os.path.isdir(place):
             _list(place)
         elif place not in _STATES and _is_due(place):  # servers without listings know their files
-            fs, key = file_system(url)
-            with _errors_of(url):
-                try:
+            try:
+                fs, key = file_system(url)
+                with _errors_of(url):
                     state = fs.info(key)
-                except FileNotFoundError as error:  # also of a server that does not answer
-                    if isinstance(error.__cause__, OSError):
-                        del _ASKED_AT[place]
+            except FileNotFoundError as error:
+                if isinstance(error.__cause__, OSError):  # of a server that does not answer
+                    del _ASKED_AT[place]
+                    with _errors_of(url):
                         raise error.__cause__ from None
-                    return
-                if state["type"] != "directory":
-                    _add_placeholder(place, url, state)
+                return
+            except Exception:  # told again at the next call
+                del _ASKED_AT[place]
+                raise
+            if state["type"] != "directory":
+                _add_placeholder(place, url, state)
 
 
 def _is_due(place: str) -> bool:
@@ -226,10 +231,12 @@ def _is_due(place: str) -> bool:
 
 def _list(folder: str) -> None:
     url = origin_of(folder)
-    if url.count("/") < 2 or not _is_due(folder):
+    if url.count("/") < 2:
+        return
+    fs, key = file_system(url)
+    if not _is_due(folder):
         return
     os.makedirs(folder, exist_ok=True)
-    fs, key = file_system(url)
     rows: list[Any] = []
     # a server may refuse to list what it gives by name
     with contextlib.suppress(FileNotFoundError, FormatError), _errors_of(url):
@@ -314,7 +321,10 @@ def _fetch(urls: Mapping[str, str]) -> None:
                 code="file-too-large",
             )
             copies = [os.path.join(folder, str(number)) for number in range(len(places))]
-            fs.get(keys, copies)
+            with FormatError.instead_of(
+                FileNotFoundError, f"{subject}: $error is no longer there", code="file-unreadable"
+            ):
+                fs.get(keys, copies)
             for place, copy in zip(places, copies, strict=True):
                 shutil.move(copy, place)
                 _STATES[place] = _STATES.get(place) or _content_state(fs.info(file_system(urls[place])[1]))

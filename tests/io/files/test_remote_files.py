@@ -212,6 +212,12 @@ def test_urls_that_nothing_can_read(day: str) -> None:
         (FormatError, "file-unreadable", day, lambda: hp.read_regions(f"{day}/none.geojson")),
         (StoreError, "url-not-local", day, lambda: hp.simulate_collect(f"{day}/new")),
         (FormatError, "url-not-plain", "query", lambda: hp.open_svc("https://bucket/red.sig?sign=1")),
+        (
+            FormatError,
+            "url-not-plain",
+            "https://bucket/red",
+            lambda: hp.open_svc("https://me:key@bucket/red.sig"),
+        ),
         (FormatError, "path-invalid", "..", lambda: hp.write_regions([], f"{day}/../x.json", overwrite=True)),
         (FormatError, "url-not-plain", "chained", lambda: hp.write_regions([], f"simplecache::{day}/x.json")),
     )
