@@ -182,9 +182,8 @@ def main() -> None:
                     client = process(there, store, running.scheduler_address)
                     while client.poll() is None and killed < number:
                         time.sleep(rng.uniform(2.0, 6.0) if kind == "worker" else rng.uniform(5.0, 40.0))
-                        if kind == "worker" and len(running.scheduler.workers) < 2:
-                            continue  # a nanny gives up a worker that dies while it starts
-                        pids = [worker.pid for worker in running.workers.values() if worker.pid]
+                        # a nanny gives up a worker that dies while it starts
+                        pids = [worker.pid for worker in running.scheduler.workers.values()]
                         pid = client.pid if kind == "client" else rng.choice(pids or [0])
                         if pid and client.poll() is None:
                             os.kill(pid, signal.SIGKILL)
