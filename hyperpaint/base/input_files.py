@@ -9,7 +9,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from .errors import FormatError, PaintError
-from .remote_files import CHAINED, as_path, discover, fetch, mirrored, open_data, origin_of, url_of
+from .remote_files import as_path, discover, fetch, mirrored, open_data, origin_of, url_of
 
 #: Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows.
 MAX_NAME_BYTES = 255
@@ -45,15 +45,15 @@ def input_path(
 
     A file behind a URL is copied first, see `hyperpaint.base.remote_files`; with ``content`` false it has a
     place, and is not copied. ``expected`` names the kind of file in messages. Raises ``error``: the name
-    holds a NUL, is longer than systems allow, or is a chained URL; or a URL where ``instead`` is the mend for
-    outputs that need a disk; or it is a pipe, device or socket. Raises `FormatError`: A URL cannot be read.
+    holds a NUL or is longer than systems allow; it is a URL where ``instead`` is the mend for outputs that
+    need a disk; or it is a pipe, device or socket. Raises `FormatError`: A URL is chained, or cannot be read.
 
     Examples
     --------
     >>> input_path("dask::https://example.org/sky.csv", "an irradiance series")
     Traceback (most recent call last):
-    hyperpaint.base.errors.FormatError: dask::https://example.org/sky.csv: a chained URL, expected an \
-irradiance series on a disk or behind a plain URL [url-not-plain]
+    hyperpaint.base.errors.FormatError: dask::https://example.org/sky.csv: a chained URL, expected a path or \
+a plain URL [url-not-plain]
     """
     text = os.fsdecode(path)
     shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
@@ -75,12 +75,6 @@ irradiance series on a disk or behind a plain URL [url-not-plain]
     )
     url = url_of(path)
     error.raise_if(
-        url is None and CHAINED.match(text) and not ("://" not in text and _exists(text)),
-        f"{shown}: a chained URL",
-        expected=f"{expected} on a disk or behind a plain URL",
-        code="url-not-plain",
-    )
-    error.raise_if(
         url is not None and instead,
         f"{shown}: a URL",
         expected=f"{expected} on a local disk",
@@ -98,14 +92,6 @@ irradiance series on a disk or behind a plain URL [url-not-plain]
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise error(f"{shown}: {_kind(mode)}", expected=expected, mend=_CHECK_PATH, code="file-special")
     return Path(text)
-
-
-def _exists(text: str) -> bool:
-    # A name in the form of a URL may be a file, such as `field::day1`.
-    try:
-        return os.path.lexists(text)
-    except ValueError:
-        return False
 
 
 def _kind(mode: int) -> str:

@@ -31,7 +31,7 @@ from .errors import FormatError, MissingExtraError
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
 _FILE = re.compile(r"(?:file|local):/+")
 #: ``dask::...``, which may start a cluster, or copy and unpack files.
-CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
+_CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
 #: Largest sum of files that are copied at once [byte].
 MAX_COPY_BYTES = 4 * 2**30
 MAX_LISTED = 100_000
@@ -82,6 +82,15 @@ class UrlPath(type(Path())):  # type: ignore[misc]
     def is_file(self, **_: Any) -> bool:
         return self._has("isfile")
 
+    def iterdir(self) -> Iterator["UrlPath"]:
+        fs, key = file_system(str(self))
+        with _errors_of(str(self)):
+            names = fs.ls(key, detail=False)
+        return (self / str(name).rstrip("/").rpartition("/")[2] for name in names)
+
+    def is_symlink(self) -> bool:
+        return False
+
     def mkdir(self, *_: Any, **__: Any) -> None:
         pass  # servers have names, not folders
 
@@ -102,12 +111,12 @@ def as_path(path: str | os.PathLike[str]) -> Path:
     # Return a local path, also of ``file:///...``, or the URL in the form of a path; refuse a chained URL.
     url, text = url_of(path), os.fsdecode(path)
     FormatError.raise_if(
-        url is None and CHAINED.match(text) and not os.path.lexists(text),
+        url is None and _CHAINED.match(text) and not os.path.lexists(text),
         f"{text:.200}: a chained URL",
         expected="a path or a plain URL",
         code="url-not-plain",
     )
-    return Path(re.sub(rf"^{_FILE.pattern}", "/", os.fsdecode(path))) if url is None else UrlPath(url)
+    return Path(re.sub(rf"^{_FILE.pattern}", "/", text)) if url is None else UrlPath(url)
 
 
 def file_system(url: str) -> tuple[Any, str]:
@@ -389,7 +398,7 @@ def _small_file(url: str, version: int) -> bytes:  # noqa: ARG001
 
 
 class RemoteData(io.RawIOBase):
-    # A file behind a URL; every read is one request for a range of bytes.
+    # A file behind a URL, read by ranges of bytes; small files are read whole.
     def __init__(self, fs: Any, key: str, url: str, size: int, version: int) -> None:
         self._fs, self._key, self._url, self._size, self._version = fs, key, url, size, version
         self._position = 0

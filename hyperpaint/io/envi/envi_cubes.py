@@ -748,13 +748,12 @@ class EnviArray(BackendArray):
         edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
         plane_and_row = np.unravel_index(np.arange(len(lines)), out.shape[:2])
         columns_kept = _selector(samples)
-        # the requests of a URL run at once
-        begins, ends = lines[edges[:-1]], lines[np.array(edges[1:]) - 1]
-        places = [
-            (self.offset + samples * self.stored.itemsize).tolist()
-            for samples in (begins * columns + first, ends * columns + last + 1)
-        ]
-        blocks = iter(file.pieces(*places)) if isinstance(file, RemoteData) else None
+        blocks: Iterator[bytes] | None = None
+        if isinstance(file, RemoteData):  # all requests run at once
+            starts = lines[edges[:-1]] * columns + first
+            stops = lines[np.array(edges[1:]) - 1] * columns + last + 1
+            places = (self.offset + limits * self.stored.itemsize for limits in (starts, stops))
+            blocks = iter(file.pieces(*(limits.tolist() for limits in places)))
         for start, stop in itertools.pairwise(edges):
             first_line = int(lines[start])
             buffer = np.empty((int(lines[stop - 1]) - first_line + 1, columns), self.stored)

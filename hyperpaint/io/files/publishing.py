@@ -139,7 +139,7 @@ def published_files(
     # Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
     # written by another process; or the system refuses. Existing files stay.
     if url_of(targets[-1]) is not None:
-        with _uploaded(targets, overwrite=overwrite) as paths:
+        with _uploaded(targets, foreign, overwrite=overwrite) as paths:
             yield paths
         return
     if len({target.parent for target in targets}) > 1:  # one spelling per folder
@@ -181,17 +181,12 @@ def published_files(
 
 
 @contextlib.contextmanager
-def _uploaded(targets: Sequence[Path], *, overwrite: bool) -> Iterator[list[Path]]:
+def _uploaded(
+    targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool
+) -> Iterator[list[Path]]:
     # Yield temporary paths, which are uploaded if the block succeeds, the key last: a server replaces a file
     # in one step. What opens an old folder is removed first and uploaded last: its page and its metadata.
-    existing = [str(target) for target in targets if target.exists()]
-    StoreError.raise_if(
-        existing and not overwrite,
-        f"{', '.join(existing)} exist{'s' if len(existing) == 1 else ''}",
-        mend="pass overwrite=True, or choose another path",
-        option="pass --overwrite, or choose another path",
-        code="file-exists",
-    )
+    _refuse(targets, foreign, overwrite=overwrite)
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder, str(number), target.name) for number, target in enumerate(targets)]
         for path in paths:
@@ -251,15 +246,19 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise unwritable(path, error) from error
 
 
+def _is_at_url(target: Path) -> bool:
+    return url_of(target) is not None and target.exists()
+
+
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
-    existing = [target for target in targets if os.path.lexists(target)]
+    existing = [target for target in targets if os.path.lexists(target) or _is_at_url(target)]
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
             StoreError.raise_if(
                 target.is_dir(), f"{target} is a folder", mend="choose another path", code="path-is-folder"
             )
             StoreError.raise_if(
-                not target.is_symlink() and not is_plain_file(target),
+                not target.is_symlink() and not target.is_file(),
                 f"{target} is not a plain file",
                 mend="choose another path",
                 code="file-not-plain",

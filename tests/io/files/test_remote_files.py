@@ -3,6 +3,7 @@
 import contextlib
 import pickle
 import re
+import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -22,7 +23,7 @@ from support.servers import s3_bucket, web_server
 
 import hyperpaint as hp
 from hyperpaint.base import remote_files
-from hyperpaint.base.errors import CollectError, FormatError, StoreError
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, StoreError
 from hyperpaint.base.remote_files import UrlPath, as_path, mirrored, url_of
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import sampled_digest
@@ -62,7 +63,7 @@ def test_a_url_in_the_form_of_a_path() -> None:
     assert str(path) == "s3://bucket/day/raw_0.hdr" == str(pickle.loads(pickle.dumps(path)))
     assert (str(path.parent / "raw_1"), path.suffix) == ("s3://bucket/day/raw_1", ".hdr")
     assert path.resolve() == path.absolute() == path == UrlPath("s3:/bucket/day/raw_0.hdr")
-    assert as_path("file:///tmp/raw_0") == Path("/tmp/raw_0")
+    assert as_path((Path.home() / "raw_0").as_uri()) == Path.home() / "raw_0"
     assert [url_of(text) for text in ("C:/day", "C:\\day", "day", "file:///day", "a::s3://b")] == [None] * 5
 
 
@@ -131,6 +132,24 @@ def test_every_reader_takes_a_url(scheme: str, flight: Path, local: Path, reques
         assert hp.read_regions(f"{folder}/regions.geojson") == hp.read_regions(home / "regions.geojson")
         assert_same_stores(local, hp.process(f"{folder}/collect.toml", f"{url}/lot.zarr"))
         assert hp.verify(f"{url}/lot.zarr").ok
+
+
+def test_damaged_files_are_refused_as_on_a_disk(day: str, flight: Path, tmp_path: Path) -> None:
+    memory = fsspec.filesystem("memory")
+    shutil.copytree(flight.parent, tmp_path / "day")
+    for name in ("flight/raw_0", "asd/sky00000.asd", "flight/imu_gps.txt", "flight/raw_0.hdr"):
+        codes: list[Any] = []
+        whole = (tmp_path / "day" / name).read_bytes()
+        for content in (whole[: len(whole) // 2], b""):
+            (tmp_path / "day" / name).write_bytes(content)
+            memory.pipe(f"{day}/flight/{name}".removeprefix("memory:/"), content)
+            places: list[Any] = [tmp_path / "day/collect.toml", f"{day}/flight/collect.toml"]
+            calls = (partial(hp.open_collect, place) for place in places)
+            codes += [expect_error(PaintError, None, call).codes for call in calls]
+        (tmp_path / "day" / name).write_bytes(whole)
+        memory.pipe(f"{day}/flight/{name}".removeprefix("memory:/"), whole)
+        assert codes[0] == codes[1], name
+        assert codes[2] == codes[3], name
 
 
 def test_files_beside_a_cube_are_found(day: str, flight: Path) -> None:
@@ -232,6 +251,11 @@ def test_products_behind_a_url(day: str, local: Path) -> None:
     hp.report.write_site(local, f"{day}/page")
     names = {Path(name).name for name in memory.find(f"{day}/page".removeprefix("memory:/"))}
     assert {"index.html", "site.json", "zarr.json"} <= names
+    memory.pipe(f"{day}/photos/holiday.jpg".removeprefix("memory:/"), b"x")
+    for write in (hp.report.write_site, hp.report.write_report):  # nothing of others is replaced
+        with pytest.raises(StoreError, match=r"folder-occupied|path-is-folder"):
+            write(local, f"{day}/photos", overwrite=True)
+    assert memory.cat_file(f"{day}/photos/holiday.jpg".removeprefix("memory:/")) == b"x"
     hp.report.write_site(local, f"{day}/page", flightlines=["raw_0"], overwrite=True)
     assert list_groups(f"{day}/page/store.zarr") == ["flightlines/raw_0"]  # as in a folder
     assert hp.verify(f"{day}/page/store.zarr").ok
