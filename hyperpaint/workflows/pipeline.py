@@ -290,7 +290,7 @@ def write_groups(
         except (PaintError, OSError) as error:
             problems.add_error(f"/{name}", error)
 
-    at_once = _groups_at_once(client, products)
+    at_once, as_one_task = _groups_at_once(client, products)
     lines = [name for name, dataset in products.items() if "quality" in dataset.variables]
     for names in (lines[:1], lines[1:]):
         in_parallel(first_slab, names, at_once)
@@ -304,7 +304,8 @@ def write_groups(
             if announce is not None and at_once == 1:
                 sys.stderr.write(announce(name))
             dataset = products[name] if from_stored is None else from_stored(name, turn)
-            turn.write(name, dataset, progress=announce is not None and at_once == 1)
+            is_shown = announce is not None and at_once == 1
+            turn.write(name, dataset, progress=is_shown, as_one_task=as_one_task)
             if bar is not None:
                 bar.advance()
 
@@ -319,13 +320,19 @@ def write_groups(
     return Outcome(out, tuple(products), tuple(complete))
 
 
-def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> int:
-    # Number of groups that keep all threads of a cluster busy; 1 on the threads of this process.
+#: A group with more slabs is more than one task on a cluster.
+_SLABS_OF_A_TASK = 8
+
+
+def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> tuple[int, bool]:
+    # Number of groups that keep all threads of a cluster busy, and whether each is one task; 1 on the threads
+    # of this process. Groups of one task cost the client least, where there are enough for all threads.
     if client is None:
-        return 1
-    tasks = [len(group.chunksizes.get(ALONG_TRACK, ())) for group in groups.values()]
+        return 1, False
+    slabs = max([1, *(len(group.chunksizes.get(ALONG_TRACK, ())) for group in groups.values())])
     threads: int = sum(client.nthreads().values())
-    return max(1, min(len(groups), 2 * threads // max([1, *tasks])))
+    as_one_task = slabs <= _SLABS_OF_A_TASK and len(groups) >= 2 * threads
+    return max(1, min(len(groups), 2 * threads // (1 if as_one_task else slabs))), as_one_task
 
 
 # --- where it is computed ---

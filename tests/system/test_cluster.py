@@ -357,6 +357,83 @@ def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.slow
+def test_a_short_line_is_one_task(client: Any, tmp_path: Path) -> None:
+    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=160, bands=12, columns=16, cubes=5)
+    local, store = hp.process(collect, tmp_path / "local.zarr"), tmp_path / "lot.zarr"
+    with distributed.get_task_stream(client) as stream:
+        hp.process(collect, store)
+    keys = [task["key"] for task in stream.data]
+    assert sum("_write_on_a_worker" in key for key in keys) == len(list_groups(store))
+    assert not any(key.startswith("store-") for key in keys)
+    assert hp.verify(store).ok
+    for group in filter(None, list_groups(local)):
+        xr.testing.assert_equal(hp.open_store(local, group).load(), hp.open_store(store, group).load())
+
+
+def test_worker_that_does_not_see_the_folder(
+    client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=64, bands=12, columns=16, cubes=4)
+    on_one_worker = computing.on_one_worker
+
+    def elsewhere(function: Any, job: Any, place: Any, **options: Any) -> Any:
+        os.rmdir(place.local)
+        return on_one_worker(function, job, place, **options)
+
+    monkeypatch.setattr(computing, "on_one_worker", elsewhere)
+    expect_error(
+        StoreError,
+        r"does not exist on the worker; every worker must see",
+        lambda: hp.process(collect, tmp_path / "lot.zarr"),
+    )
+
+
+@pytest.mark.slow
+def test_cluster_that_loses_all_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computing, "LOST_WAIT", 0.5)
+    path = tmp_path / "lot.zarr"
+    with cluster(1, processes=False) as client:
+        timer = threading.Timer(0.6, client.cluster.scale, (0,))
+        timer.start()
+        expected = (
+            r"lines .* of counts: it was cancelled \(the cluster has had no worker for 0 s\).*run again"
+        )
+        expect_error(
+            StoreError, expected, lambda: hp.to_store(line_with(slow), path, GROUP, source_token="line")
+        )
+        timer.join()
+    assert not path.exists()
+    check_again(path)
+
+
+def wait_for(released: Path) -> None:
+    while not released.exists():
+        time.sleep(0.1)
+
+
+@pytest.mark.slow
+def test_interrupted_groups_are_cancelled(client: Any, tmp_path: Path) -> None:
+    # Ctrl-C reaches the main thread only; the others wait for their workers
+    main, released, cancelled = threading.main_thread().ident, tmp_path / "released", []
+
+    def write(_: int) -> None:
+        try:
+            computing.on_one_worker(wait_for, released, group=GROUP)
+        except StoreError as error:
+            cancelled.append(str(error))
+
+    assert main is not None
+    threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
+    try:
+        with computing.watched(client), pytest.raises(KeyboardInterrupt):
+            computing.in_parallel(write, range(4), 4)
+    finally:
+        released.touch()
+    assert len(cancelled) == 4
+    assert all("it was cancelled (the run was stopped)" in message for message in cancelled)
+
+
+@pytest.mark.slow
 @pytest.mark.campaign
 def test_campaign_of_killed_workers(tmp_path: Path) -> None:
     faults = importlib.import_module("campaigns.faults.workers")

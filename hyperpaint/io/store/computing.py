@@ -41,6 +41,7 @@ import os
 import shutil
 import stat
 import sys
+import threading
 import time
 import traceback
 import uuid
@@ -553,7 +554,8 @@ def on_workers(
 
 
 def in_parallel(function: Callable[[_Item], object], items: Sequence[_Item], most: int) -> None:
-    # Call a function for all items, ``most`` at once; after an error no further calls begin.
+    # Call a function for all items, ``most`` at once; after an error no further calls begin. Ctrl-C also
+    # cancels what the calls compute on a cluster.
     if most < 2:
         for item in items:
             function(item)
@@ -565,8 +567,10 @@ def in_parallel(function: Callable[[_Item], object], items: Sequence[_Item], mos
         try:
             for call in concurrent.futures.as_completed(calls):
                 call.result()
-        except BaseException:
+        except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
+            if not isinstance(error, Exception):
+                _cancel_all("the run was stopped")
             raise
 
 
@@ -796,7 +800,7 @@ def is_mendable(error: BaseException) -> bool:
 # Number of times a cluster repeats a task that raised an error.
 RETRIES = 3
 
-_SAME_FILES = "; every worker must see the same files, under the same paths"
+SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
 
 Key = Any  # Of dask: a text, or a tuple of a name and numbers
@@ -812,9 +816,16 @@ class _Block:
 
 
 def compute(
-    lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
+    lazy: Mapping[str, da.Array],
+    targets: Mapping[str, Target],
+    *,
+    group: str,
+    progress: bool,
+    get: Callable[..., Any] | None = None,
 ) -> dict[str, np.ndarray[Any, Any]]:
     # Compute lazy checksums (`chunks.lazy_checksums`) together, so that tasks of two arrays run once.
+    #
+    # ``get``: scheduler of dask, by default the one in force.
     #
     # Raises `StoreError`: A block could not be read, computed or written, or the cluster was lost; the
     # message names group and block. Other errors of a task are raised unchanged, with a note that names it.
@@ -841,11 +852,11 @@ def compute(
     # the arrays are optimised together, so that dask does not fuse a shared task into both
     graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
-    client = client_in_force()
+    client = client_in_force() if get is None else None
     with contextlib.ExitStack() as stack:
         bar = stack.enter_context(BlockBar(len(blocks))) if progress else None
         results = (
-            _on_threads(scheduler_in_force(), graph, blocks, group, bar)
+            _on_threads(get or scheduler_in_force(), graph, blocks, group, bar)
             if client is None
             else _on_cluster(client, graph, blocks, group, bar)
         )
@@ -915,6 +926,77 @@ def _on_threads(
         _raise_named(error, group, [block for key, block in blocks.items() if key in affected])
 
 
+#: Futures by key, of every group that is being written, so that another thread can cancel them.
+_running: contextvars.ContextVar[dict[int, dict[Key, Any]] | None] = contextvars.ContextVar(
+    "running", default=None
+)
+#: Time without any worker after which a write gives up [s]; workers of cloud services start within minutes.
+LOST_WAIT = 300.0
+
+
+def _cancel_all(reason: str) -> None:
+    for futures_by_key in list((_running.get() or {}).values()):
+        with contextlib.suppress(Exception):  # the scheduler may be lost
+            futures = list(futures_by_key.values())
+            futures[0].client.cancel(futures, force=True, reason=reason)
+
+
+@contextlib.contextmanager
+def watched(client: Client | None) -> Iterator[None]:
+    # Cancel the writes inside once a cluster has had no worker for `LOST_WAIT`: they would never end.
+    if client is None:
+        yield
+        return
+    is_over, token = threading.Event(), _running.set({})
+
+    def watch() -> None:
+        last_seen = time.monotonic()
+        while not is_over.wait(min(5.0, LOST_WAIT)):
+            with contextlib.suppress(Exception):  # the scheduler may be lost
+                if client.nthreads():
+                    last_seen = time.monotonic()
+            if time.monotonic() - last_seen > LOST_WAIT:
+                _cancel_all(f"the cluster has had no worker for {LOST_WAIT:.0f} s")
+
+    watcher = threading.Thread(target=contextvars.copy_context().run, args=(watch,), daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        _running.reset(token)
+
+
+@contextlib.contextmanager
+def _cancelled_at_the_end(futures: Iterable[Any]) -> Iterator[dict[Key, Any]]:
+    # Futures by key; those that are left at the end are cancelled. A traceback keeps the futures of failed
+    # tasks, and the next run would get them.
+    futures_by_key = {future.key: future for future in futures}
+    running = _running.get()
+    if running is None:  # outside `watched`
+        running = {}
+    running[id(futures_by_key)] = futures_by_key
+    try:
+        yield futures_by_key
+    finally:
+        del running[id(futures_by_key)]
+        if futures_by_key:
+            with contextlib.suppress(Exception):  # the scheduler may be lost
+                rest = list(futures_by_key.values())
+                rest[0].client.cancel(rest, force=True)
+
+
+def on_one_worker(function: Callable[..., _Result], *arguments: Any, group: str) -> _Result:
+    # Return the result of a function that writes a group as one task of the cluster in force.
+    client = client_in_force()
+    assert client is not None
+    future = client.submit(function, *arguments, pure=False, retries=RETRIES)
+    with errors_of_the_cluster(f"cannot store /{group}"), _cancelled_at_the_end([future]) as running:
+        result: _Result = future.result()
+        running.clear()
+    return result
+
+
 def _on_cluster(
     client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
 ) -> Results:
@@ -922,26 +1004,20 @@ def _on_cluster(
 
     with errors_of_the_cluster(f"cannot store /{group}"):
         futures = client.get(graph, list(blocks), sync=False, retries=RETRIES)
-    futures_by_key = {future.key: future for future in futures}
-    del futures
-    try:
+    with _cancelled_at_the_end(futures) as futures_by_key:
+        del futures
         for future, result in as_completed(futures_by_key.values(), with_results=True, raise_errors=False):
             # the future's status may have changed since the result was fetched, if its worker died
             if isinstance(result, tuple | BaseException):
                 # the error of a task is a tuple with type and traceback, a cancellation is an exception
                 error = result[1] if isinstance(result, tuple) else result
-                hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
+                hint = SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
                 _raise_named(error, group, [blocks[future.key]], hint)
             # released, so that a worker that dies loses no finished block
             del futures_by_key[future.key]
             if bar is not None:
                 bar.advance()
             yield future.key, result
-    finally:
-        # cancelled, since a traceback keeps the futures of failed tasks, and the next run would get them
-        if futures_by_key:
-            with contextlib.suppress(Exception):  # the scheduler may be lost
-                client.cancel(list(futures_by_key.values()), force=True)
 
 
 def in_stages(

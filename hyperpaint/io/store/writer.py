@@ -545,8 +545,10 @@ class StoreWriter:
         self._announced = False
         self._lock = threading.RLock()
 
-    def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
+    def begin(self, job: Job, *, progress: bool = False, as_one_task: bool = False) -> Callable[[], None]:
         # Write a group's arrays; return the function that publishes the group.
+        #
+        # ``as_one_task``: see `_arrays`.
         #
         # Another thread may call that while the next group begins, for one group at a time. Nothing is done
         # where the group exists.
@@ -554,7 +556,7 @@ class StoreWriter:
             return lambda: None
         with limited_threads(_check_room([job], self._location)):
             if self._stage is None:  # behind a URL: in place, the group's own metadata last
-                return self._begin_at_url(job, progress=progress)
+                return self._begin_at_url(job, progress=progress, as_one_task=as_one_task)
             stage = self._stage
             for entry in stage._entries():
                 if (entry.kind, entry.group) == ("build", job.group) and entry.content != job.build:
@@ -562,7 +564,8 @@ class StoreWriter:
             leftovers = stage.leftovers(job.group, job.build)
             folder = stage.build(job.group, job.build)
             with _discarded_unless_mendable(folder, *leftovers):
-                files, sums = _write_arrays(job, Location.of(folder), leftovers, progress=progress)
+                place = Location.of(folder)
+                files, sums = _arrays(job, place, leftovers, progress=progress, as_one_task=as_one_task)
 
         def put_in_place() -> None:
             with _discarded_unless_mendable(folder):
@@ -588,7 +591,7 @@ class StoreWriter:
 
         return put_in_place
 
-    def _begin_at_url(self, job: Job, *, progress: bool) -> Callable[[], None]:
+    def _begin_at_url(self, job: Job, *, progress: bool, as_one_task: bool) -> Callable[[], None]:
         # Write a group in its place, or beside the store where there is an old one, which stays until then.
         location, fs = self._location, self._location.fs
         self.announce(job.group)
@@ -605,7 +608,7 @@ class StoreWriter:
         if beside.has(""):
             fs.rm(beside.root, recursive=True)
         build = beside if old else place
-        files, sums = _write_arrays(job, build, [], progress=progress)
+        files, sums = _arrays(job, build, [], progress=progress, as_one_task=as_one_task)
 
         def put_in_place() -> None:
             if old:  # no reader finds metadata of one group and chunks of another
@@ -773,6 +776,7 @@ def _writer(
         if command and overwrite and (Write({}, manifest.command).source == write.source):
             groups = {name: entry for name, entry in groups.items() if location.has(name, METADATA)}
         manifest = Manifest(groups, writes, command or manifest.command)
+        stack.enter_context(computing.watched(computing.client_in_force()))
         yield StoreWriter(location, stage, manifest, write, attrs, pending)
 
 
@@ -816,8 +820,12 @@ class WholeRun:
         self._placed: dict[str, xr.Dataset] = {}
         self._lock = threading.RLock()  # on a cluster several groups are written at once
 
-    def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
+    def write(
+        self, group: str, dataset: xr.Dataset, *, progress: bool = False, as_one_task: bool = False
+    ) -> None:
         # Write a group; it is published while the next is written, see `settle`.
+        #
+        # ``as_one_task``: see `_arrays`.
         #
         # Progress bars go to stderr, so that stdout holds results only.
         assert self._writer is not None  # without pending groups this method is not called
@@ -834,7 +842,7 @@ class WholeRun:
         )
         output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with output, errors_of_the_system(self._location, {group: dataset}):
-            place = self._writer.begin(job, progress=progress)
+            place = self._writer.begin(job, progress=progress, as_one_task=as_one_task)
         with self._lock:
             self.settle()
             self._placed = {group: dataset}
@@ -919,10 +927,45 @@ def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
 # --- the arrays of a group ---------------------------------------------------------------------------------
 
 
+_Arrays = tuple[dict[str, bytes], dict[str, dict[str, bytes]]]
+
+
+def _arrays(
+    job: Job, place: Location, leftovers: list[Path], *, progress: bool, as_one_task: bool
+) -> _Arrays:
+    # Write the arrays of a group as `_write_arrays` does; ``as_one_task``: on a worker of the cluster, where
+    # the group is one task and many short groups are written at once.
+    if place.local is not None:
+        place.local.mkdir(parents=True, exist_ok=True)
+    if as_one_task and not leftovers:
+        return computing.on_one_worker(_write_on_a_worker, job, place, group=job.group)
+    return _write_arrays(job, place, leftovers, progress=progress)
+
+
+def _write_on_a_worker(job: Job, place: Location) -> _Arrays:
+    import dask
+
+    # a task that is repeated after its run finds no folder, and must not create it again
+    StoreError.raise_if(
+        place.local is not None and not place.local.is_dir(),
+        f"cannot store /{job.group}: {place.url} does not exist on the worker{computing.SAME_FILES}",
+        mend=computing.RUN_AGAIN,
+        code="block-failed",
+    )
+    return _write_arrays(job, place, [], progress=False, get=dask.get)
+
+
 def _write_arrays(
-    job: Job, place: Location, leftovers: list[Path], *, progress: bool
-) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
+    job: Job,
+    place: Location,
+    leftovers: list[Path],
+    *,
+    progress: bool,
+    get: Callable[..., Any] | None = None,
+) -> _Arrays:
     # Write the arrays of a group, and take finished chunks from builds of earlier runs (``leftovers``).
+    #
+    # ``get``: scheduler of dask, by default the one in force.
     #
     # Return the files from xarray, of which the metadata of the group are not yet written; and by array the
     # crc32c of every chunk, by key.
@@ -937,15 +980,13 @@ def _write_arrays(
         # hundred small files slowly
         stored: dict[str, Any] = {}
         template = computing.with_variables(
-            dataset.drop_vars(list(streamed)).compute(),
+            dataset.drop_vars(list(streamed)).compute(scheduler=get),
             {name: computing.placeholder(variable) for name, variable in streamed.items()},
             dataset.coords,
         )[list(dataset.variables)]
         options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
         template.to_zarr(MemoryStore(stored), encoding=computing.encoding(dataset, job.codec), **options)
         files = {key: content.to_bytes() for key, content in stored.items()}
-        if place.local is not None:
-            place.local.mkdir(parents=True, exist_ok=True)
         place.write_files({key: raw for key, raw in files.items() if key != METADATA})
         targets = {name: computing.Target.of(name, v, place, job.codec) for name, v in streamed.items()}
         # chunks that an earlier run finished
@@ -958,7 +999,7 @@ def _write_arrays(
             name: computing.lazy_checksums(variable, targets[name], finished[name])
             for name, variable in streamed.items()
         }
-        computed = computing.compute(lazy, targets, group=job.group, progress=progress)
+        computed = computing.compute(lazy, targets, group=job.group, progress=progress, get=get)
     sums = {}
     for name in variables:
         if name in computed:
