@@ -110,31 +110,6 @@ def check_again(path: Path) -> None:
     assert os.listdir(path.parent) == ["lot.zarr"]
 
 
-# --- every command, and many short lines -------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_every_step_computes_on_the_scheduler_of_the_command_line(client: Any, tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=240, bands=12, columns=96, cubes=3)
-    local, store, products = hp.process(collect, tmp_path / "local.zarr"), tmp_path / "lot.zarr", tmp_path
-    commands: dict[str, list[object]] = {
-        "process": [collect, "--out", store],
-        "verify": [store],
-        "verify --inputs": [store],
-        "signatures": [store, "--regions", collect.with_name("regions.geojson")],
-        "orthorectify": [store, "--line", "raw_0", "--out", products / "map.zarr"],
-        "mosaic": [store, "--out", products / "mosaic.zarr"],
-        "report": [store, "--out", products / "report.html"],
-    }
-    scheduler = client.cluster.scheduler
-    for name, words in commands.items():
-        before = scheduler.transition_counter
-        hyperpaint(*name.split(), *words, "--scheduler", client.scheduler.address, status=0)
-        assert scheduler.transition_counter > before, name
-    for group in filter(None, list_groups(local)):  # three short lines at once
-        xr.testing.assert_equal(hp.open_store(local, group).load(), hp.open_store(store, group).load())
-
-
 # --- errors name the block ---------------------------------------------------------------------------------
 
 
@@ -354,6 +329,28 @@ def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.
     ):
         hp.process(collect, tmp_path / "lot.zarr", scheduler=client.scheduler.address)
     assert not (tmp_path / "lot.zarr").exists()
+
+
+@pytest.mark.slow
+def test_every_step_computes_on_the_scheduler_of_the_command_line(client: Any, tmp_path: Path) -> None:
+    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=240, bands=12, columns=96, cubes=3)
+    local, store, products = hp.process(collect, tmp_path / "local.zarr"), tmp_path / "lot.zarr", tmp_path
+    commands: dict[str, list[object]] = {
+        "process": [collect, "--out", store],
+        "verify": [store],
+        "verify --inputs": [store],
+        "signatures": [store, "--regions", collect.with_name("regions.geojson")],
+        "orthorectify": [store, "--line", "raw_0", "--out", products / "map.zarr"],
+        "mosaic": [store, "--out", products / "mosaic.zarr"],
+        "report": [store, "--out", products / "report.html"],
+    }
+    scheduler = client.cluster.scheduler
+    for name, words in commands.items():
+        before = scheduler.transition_counter
+        hyperpaint(*name.split(), *words, "--scheduler", client.scheduler.address, status=0)
+        assert scheduler.transition_counter > before, name
+    for group in filter(None, list_groups(local)):  # three short lines at once
+        xr.testing.assert_equal(hp.open_store(local, group).load(), hp.open_store(store, group).load())
 
 
 @pytest.mark.slow
