@@ -865,10 +865,11 @@ def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
 # Number of rows from which the brightness range of a picture is computed.
 _SAMPLED_ROWS = 64
 _BLOCK_BYTES = 64 * 2**20
+_BANDS_AT_ONCE = 16
 _RGB = ("red", "green", "blue")
 # GDAL's default, 5 % of the machine's memory, would fill with bands that are written once. Rasterio takes
 # bytes, where GDAL itself takes small numbers as megabytes.
-CACHE_BYTES = 256 * 2**20
+CACHE_BYTES = 64 * 2**20
 
 
 @takes_quantities()
@@ -1183,11 +1184,10 @@ def _write(
         (row, _), (column, _), (first, last) = block_info[0]["array-location"]
         window = Window(column, row, block.shape[1], block.shape[0])
         with lock:
-            raster.write(
-                np.ascontiguousarray(np.moveaxis(block, -1, 0)),
-                indexes=list(range(first + 1, last + 1)),
-                window=window,
-            )
+            for start in range(first, last, _BANDS_AT_ONCE):  # GDAL copies what it gets
+                end = min(start + _BANDS_AT_ONCE, last)
+                values = np.ascontiguousarray(np.moveaxis(block[..., start - first : end - first], -1, 0))
+                raster.write(values, indexes=list(range(start + 1, end + 1)), window=window)
             done += block.size
             if progress is not None:
                 progress(done, stored.size)
