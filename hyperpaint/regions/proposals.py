@@ -817,14 +817,16 @@ def footprints_of(
     picture: Picture,
     joinings: Sequence[tuple[bool, bool, bool]],
     max_size: float = np.inf,
-) -> Iterator[Footprint]:
+) -> Iterator[Footprint | None]:
     # Yield the footprint of the car around a piece of paint, for each of the rules for joining parts.
     #
-    # Rules with which the paint extends beyond the largest margin, or its thick part around the piece beyond
-    # ``max_size`` [pixel], yield nothing. Takes ``inside`` (line,
-    # column): the piece; ``origin``: line and column of its first pixel; ``colour`` (channel,): its
-    # reflectance, less the mirrored sky [1]; ``joinings``: see `JOININGS`.
+    # Rules with which the paint extends farther than a car of ``max_size`` [pixel], or than the largest
+    # margin, yield nothing. None, at the end: it does so although thin bridges are cut, and every further
+    # rule would join more. Takes ``inside`` (line, column): the piece; ``origin``: line and column of its
+    # first pixel; ``colour`` (channel,): its reflectance, less the mirrored sky [1]; ``joinings``: see
+    # `JOININGS`.
     shape = np.array(picture.level.shape)
+    longest = np.sqrt(max_size * FOOTPRINTS.slenderness[1])
     matches: dict[tuple[int, bool], tuple[Bools, Bools, Bools, Floats]] = {}
     for wide_brightness, over_windows, cut_bridges in joinings:
         pad = min(int(FOOTPRINTS.margin * max(inside.shape)), FOOTPRINTS.max_margin_px)
@@ -839,18 +841,25 @@ def footprints_of(
             paint, ground, dark, brightness = matches[key]
             seed = np.zeros(paint.shape, bool)
             seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
-            area = _car_area(
+            area, is_endless = _car_area(
                 seed, paint | seed, ground, dark if over_windows else None, cut_bridges, max_size
             )
             if area is None:
                 break
+            is_endless = True
             # whether the car reaches the first line and column of the window, and the last ones
             sides = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
             if not (sides & ~np.array([low == 0, high == shape])).any():
                 place = (int(low[0]), int(low[1])), paint | seed, area, brightness
                 yield Footprint(*place, *_rectangle(area), bool(sides.any()))
+                is_endless = False
+                break
+            if pad > longest:
                 break
             pad = int(FOOTPRINTS.growth * pad) + 8
+        if is_endless and cut_bridges:
+            yield None
+            return
 
 
 def _matched_colour(
@@ -879,10 +888,11 @@ def _matched_colour(
 
 def _car_area(
     seed: Bools, paint: Bools, ground: Bools, dark: Bools | None, cut_bridges: bool, max_size: float
-) -> Bools | None:
+) -> tuple[Bools | None, bool]:
     # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
     # Bay lines and mirrors are thin. Parts with ground between them and the seed are not added. With `dark`,
-    # parts with only dark pixels between them are connected. None without a core up to `max_size` [pixel].
+    # parts with only dark pixels between them are connected. None without a core, or for more pixels than
+    # `max_size`; and whether the core around the seed alone has more.
     square, gap = np.ones((3, 3), bool), FOOTPRINTS.max_gap_px
     dilated = _squares(np.pad(paint, gap), gap, grow=True)
     closed = _squares(dilated, gap, grow=False)[gap:-gap, gap:-gap]
@@ -895,7 +905,7 @@ def _car_area(
     is_seed_part[0] = False
     closed &= is_seed_part[parts]
     if not closed.any():
-        return None
+        return None, False
     # only the part of the window around the connected parts, with a pixel of background
     shape, window = closed.shape, padded(find_objects(closed.view(np.int8))[0], 1)
     seed, ground = seed[window], ground[window]
@@ -908,13 +918,13 @@ def _car_area(
     cores, count = label(depth > min_depth, square)
     seed_sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
     if not seed_sizes.any():
-        return None
+        return None, False
     # hull of the seed's core and of further cores, added from the nearest on while their gap, the width of
     # the hull and the ground in it stay within the limits of a car
     seed_core = int(np.argmax(seed_sizes))
     car_cores = cores == seed_core
     if car_cores.sum() > max_size:
-        return None
+        return None, True
     area = _hull_around(car_cores, min_depth, filled)
     large_cores = np.flatnonzero(np.bincount(cores.ravel()) > min_depth * min_depth).tolist()
     candidates = [core for core in large_cores if core not in (0, seed_core)]
@@ -933,9 +943,11 @@ def _car_area(
         is_narrow = _rectangle(hull)[3] < FOOTPRINTS.max_width * 2.0 * half_width
         if is_narrow and (hull & ground).sum() < FOOTPRINTS.max_ground_share * hull.sum():
             car_cores, area, gaps = larger_cores, hull, {}
+            if area.sum() > max_size:
+                return None, False
     whole = np.zeros(shape, bool)
     whole[window] = area
-    return whole
+    return whole, False
 
 
 def _squares(mask: Bools, px: int, *, grow: bool) -> Bools:
@@ -1687,6 +1699,8 @@ class Car(NamedTuple):
     #: Footprint around one of the pieces; None where its colour extends farther than a car.
     footprint: Footprint | None = None
     roof: Roof | NoRoof = NoRoof("its colour extends farther than a car: it may not belong to one", False)
+    #: Whether its colour extends farther than a car whatever else is joined.
+    is_endless: bool = False
 
     @property
     def is_car(self) -> bool:
@@ -1772,11 +1786,17 @@ class CarPark:
             piece = best.pieces[0]
             if self.assign(piece):
                 continue
+            if best.is_endless:
+                uncertain.append(best)
+                continue
             colour = np.median(self._picture.without_sky(piece.window)[piece.inside], axis=0)
             limit = min(max_size, self.max_size)
             for footprint in footprints_of(
                 piece.inside, piece.origin, colour, self._picture, joinings, limit
             ):
+                if footprint is None:
+                    best = best._replace(is_endless=True)
+                    break
                 car = Car(
                     [piece], footprint, find_roof(footprint, self._picture.level[footprint.window])
                 ).unless_larger(max_size)
