@@ -1,0 +1,698 @@
+"""Thresholds of detection: inputs on both sides of each, so that twice or half of it changes a decision."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from support.analytic_scenes import as_line, smooth_edge
+
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.surroundings.model import LIT, SHADED
+from hyperpaint.surroundings.segments import (
+    BRIGHT_IN_LOBE,
+    IN_LOBE,
+    SATURATED_IN_LOBE,
+    Light,
+    Matches,
+    Picture,
+    mirror_lobes,
+    touching,
+)
+from hyperpaint.surroundings.surveying import (
+    fraction_in_shadow,
+    match_shade,
+    of_shadows,
+    penumbrae,
+    shaded_pixels,
+    survey,
+)
+
+Floats = npt.NDArray[np.float64]
+#: Diffuse fractions of six channels, as steep as those of a clear sky.
+SIX = Light.under(np.linspace(0.4, 0.1, 6))
+UNEVEN = np.resize([1.0, -1.0], 6)
+
+# --- mirror images of the sun ------------------------------------------------------------------------------
+
+
+def lobes_of(
+    brightness: Floats,
+    paint: float,
+    body: Any = 0,
+    ground: Any = False,
+    saturated: Any = False,
+    ripple: float = 0.0,
+    is_coloured: bool = False,
+) -> npt.NDArray[np.uint8]:
+    # Lobes of a picture (line, column) with a grey body 0 whose excess over its paint is direct light; a
+    # body 1 is ground or another part
+    shape = brightness.shape
+    added = (brightness - paint)[..., None] / SIX.direct.mean() * SIX.direct * (1.0 + ripple * UNEVEN)
+    colour = np.linspace(0.2, 1.8, 6) if is_coloured else np.ones(6)
+    number = np.broadcast_to(body, shape).astype(np.int32)
+    return mirror_lobes(
+        Picture(
+            np.ascontiguousarray(paint * colour + added, np.float32),
+            np.broadcast_to(saturated, shape),
+            lambda index: number[index],
+            np.array([False, ground, False]),
+            np.stack([paint * colour] * 3),
+            np.full(3, is_coloured),
+            SIX,
+        )
+    )
+
+
+def disc(radius: float, size: int = 81) -> npt.NDArray[np.bool_]:
+    y, x = np.indices((size, size)) - size // 2
+    return np.asarray(np.hypot(y, x) <= radius)
+
+
+@pytest.mark.parametrize(
+    ("paint", "peak", "evenness", "ripple", "is_lobe"),
+    [
+        (0.1, 0.28, 1.0, 0.0, False),  # three times as bright as the ring around it
+        (0.1, 0.32, 1.0, 0.0, True),
+        (0.1, 1.0, 0.65, 0.0, False),  # beside an edge, three pixels of the ring are darker
+        (0.1, 1.0, 0.75, 0.0, True),
+        (0.004, 0.022, 1.0, 0.0, False),  # on black paint, 0.02 at least
+        (0.004, 0.026, 1.0, 0.0, True),
+        (0.1, 1.0, 1.0, 0.27, True),  # a lamp's glass has another colour than the sun
+        (0.1, 1.0, 1.0, 0.33, False),
+        (1.5, 2.8, 1.0, 0.0, False),  # flakes reach 2.5
+        (1.5, 3.2, 1.0, 0.0, True),
+    ],
+)
+def test_core__is_brighter_than_its_surroundings(
+    paint: float, peak: float, evenness: float, ripple: float, is_lobe: bool
+) -> None:
+    brightness = np.full((41, 41), paint)
+    brightness[17, 19:22] *= evenness
+    brightness[20, 20] = peak
+    assert bool(lobes_of(brightness, paint, ripple=ripple)[20, 20]) == is_lobe
+
+
+def streak(core: int, peak: float, excess: float, length: int = 90) -> Floats:
+    # Brightness of a square core, and of a streak that begins at its right side
+    brightness = np.ones((61, 130))
+    half = core // 2
+    brightness[30, 30 : 30 + length] += excess
+    brightness[30 - half : 30 - half + core, 30 - core : 30] = peak
+    return brightness
+
+
+@pytest.mark.parametrize(
+    ("core", "peak", "excess", "fewest", "most"),
+    [
+        # the lobe of a core of half width h reaches 2 + 2 h pixels, 14 at most
+        (1, 3.5, 0.25, 4, 4),
+        (3, 3.5, 0.25, 6, 6),
+        (15, 40.0, 0.25, 14, 14),
+        # from an end that is 1.3 times as bright as the body it reaches on, once for 8 pixels of the core
+        (4, 40.0, 0.4, 18, 18),
+        (7, 40.0, 0.4, 50, 60),  # five times at most
+        (1, 3.5, 0.035, 0, 0),  # 4 % brighter than the body
+        (1, 3.5, 0.045, 4, 4),
+    ],
+)
+def test_streak__is_followed_from_its_core(
+    core: int, peak: float, excess: float, fewest: int, most: int
+) -> None:
+    lobes = lobes_of(0.1 * streak(core, peak, excess), 0.1)
+    assert fewest <= (lobes[30, 30:] > 0).sum() <= most
+
+
+@pytest.mark.parametrize(
+    ("paint", "excess", "spread", "is_lobe"),
+    [
+        (0.01, 0.25, 0.0, False),  # 0.003 in reflectance on black paint
+        (0.01, 0.35, 0.0, True),
+        # four standard deviations of an uneven body: of its texture, and 0.2 % of noise
+        (0.1, 4.0 * (1.4826 * 0.01 + 0.0017), 0.01, False),
+        (0.1, 4.0 * (1.4826 * 0.01 + 0.0025), 0.01, True),
+    ],
+)
+def test_lobe__exceeds_what_else_is_uneven(paint: float, excess: float, spread: float, is_lobe: bool) -> None:
+    texture = 1.0 + spread * np.resize([1.0, -1.0], (130, 61)).T
+    texture[30, 30:33] = 1.0
+    assert (lobes_of(paint * streak(1, 9.0, excess, 3) * texture, paint)[30, 30:33] > 0).all() == is_lobe
+
+
+@pytest.mark.parametrize(("apart", "is_lobe"), [(2, False), (4, True)])
+def test_streak__is_brighter_than_its_body_within_three_pixels(apart: int, is_lobe: bool) -> None:
+    # A second streak beside it may be the edge of a body part that leans to the sun
+    brightness = streak(1, 40.0, 0.2)
+    brightness[30 + apart] = brightness[30 - apart] = brightness[30]
+    brightness[[30 - apart, 30 + apart], :30] = 1.0
+    assert (lobes_of(0.1 * brightness, 0.1)[30, 31] == BRIGHT_IN_LOBE) == is_lobe
+
+
+@pytest.mark.parametrize(
+    ("count", "distance", "is_lobe"),
+    [(12, 7, True), (12, 10, False), (10, 7, True), (8, 7, False)],  # 9 pixels of a coat, within 4 + 4
+)
+def test_core_beyond_lit_surfaces__has_a_coat_around_it(count: int, distance: int, is_lobe: bool) -> None:
+    body, brightness = np.ones((41, 41), np.int32), np.full((41, 41), 0.1)
+    body[20 - count // 4 : 20 + count // 4, 20 + distance] = 0
+    body[20 - count // 4 : 20 + (count + 3) // 4, 20 - distance] = 0
+    body[20, 20], brightness[20, 20] = 0, 4.0
+    assert bool(lobes_of(brightness, 0.1, body, ground=True)[20, 20]) == is_lobe
+
+
+def sector(share: float, size: int = 81) -> npt.NDArray[np.bool_]:
+    y, x = np.indices((size, size)) - size // 2
+    return np.asarray(np.arctan2(y, x) / (2.0 * np.pi) % 1.0 < share)
+
+
+@pytest.mark.parametrize(("share", "is_lobe"), [(0.45, False), (0.55, True)])
+def test_core__lies_on_one_body(share: float, is_lobe: bool) -> None:
+    body = np.where(sector(share), 0, np.where(sector(0.5 + share / 2.0), 1, 2))
+    body[40, 40] = 0
+    assert bool(lobes_of(np.where(disc(0.0), 1.0, 0.1), 0.1, body)[40, 40]) == is_lobe
+
+
+@pytest.mark.parametrize(
+    ("paint", "core", "glint", "is_coloured", "is_lobe"),
+    [
+        (0.5, 5, 0.9, True, False),  # a lobe of roughness 0.1 has a glint of 1 at its peak
+        (0.5, 5, 1.1, True, True),
+        (0.5, 2, 1.1, True, False),  # over some pixels
+        (0.5, 3, 1.1, True, True),
+        (0.045, 5, 1.3, False, True),  # grey flakes look like it, black bodies have none
+        (0.055, 5, 1.3, False, False),
+    ],
+)
+def test_wide_core__is_as_bright_as_a_white_surface(
+    paint: float, core: int, glint: float, is_coloured: bool, is_lobe: bool
+) -> None:
+    # Around the core brightness falls by half in a pixel, so that it is not sharp
+    outside = np.maximum(np.abs(np.indices((81, 81)) - 40 + (core % 2 == 0) / 2).max(axis=0) - core / 2, 0.0)
+    added = glint * np.where(outside > 0.0, 0.8 * np.exp(-outside / 4.0), 1.0)
+    lobes = lobes_of(paint + added * SIX.direct.mean(), paint, is_coloured=is_coloured)
+    assert bool(lobes[40, 40]) == is_lobe
+
+
+@pytest.mark.parametrize(
+    ("paint", "is_coloured", "added", "fewest", "most"),
+    [
+        # on black within six half widths of the core, on coloured paint within 120 pixels
+        (0.04, False, 0.02, 18, 24),
+        (0.5, True, 0.02, 119, 123),
+        (0.5, True, 0.009, 10, 35),  # brighter than 2 % of the paint
+        (0.5, True, 0.011, 119, 123),
+    ],
+)
+def test_wide_lobe__is_followed_around_its_core(
+    paint: float, is_coloured: bool, added: float, fewest: int, most: int
+) -> None:
+    y, x = np.indices((41, 360)) - np.array([20, 180])[:, None, None]
+    glint = 1.3 * np.exp(-(np.hypot(y, x) ** 2) / 32.0) * SIX.direct.mean()
+    lobes = lobes_of(paint + np.maximum(glint, added), paint, is_coloured=is_coloured)
+    reach = (lobes[20, 180:] > 0).sum()
+    assert fewest <= reach <= most
+
+
+@pytest.mark.parametrize(("radius", "is_lobe"), [(3.0, True), (5.5, False)])
+def test_saturated_spot__may_be_a_core_where_it_is_small(radius: float, is_lobe: bool) -> None:
+    # a white roof that saturates is larger than 4 pixels to all sides
+    spot = disc(radius)
+    assert (lobes_of(np.where(spot, 2.9, 0.1), 0.1, saturated=spot)[40, 40] == SATURATED_IN_LOBE) == is_lobe
+
+
+@pytest.mark.parametrize(("share", "is_lobe"), [(0.42, False), (0.58, True)])
+def test_saturated_pixels__are_in_a_lobe_that_encloses_them(share: float, is_lobe: bool) -> None:
+    spot = disc(6.0)
+    brightness = np.where(disc(14.0) & sector(share), 0.5 + 1.1 * SIX.direct.mean(), 0.5)
+    lobes = lobes_of(brightness, 0.5, saturated=spot, is_coloured=True)
+    assert lobes[52, 40] == IN_LOBE
+    assert (lobes[40, 40] == SATURATED_IN_LOBE) == is_lobe
+
+
+# --- cast shadows ------------------------------------------------------------------------------------------
+
+NM = np.linspace(412.0, 988.0, 24)
+CLEAR = Light.under(diffuse_fraction(NM, 40.0))
+HAZY = Light.under(np.linspace(0.7, 0.35, 24))
+ZIGZAG = np.resize([1.0, -1.0], 24)
+#: Side to which shadows fall: to higher lines.
+AWAY = np.array([1.0, 0.0])
+#: Ground, a white roof, and a redder thing as bright as the ground.
+GROUND, WHITE, THING = np.full(24, 0.25), np.full(24, 0.7), np.linspace(0.16, 0.44, 24)
+RED = smooth_edge(NM, 600.0, 0.04, 0.6)
+
+
+def lit(
+    body: Any,
+    direct: float = 0.0,
+    sky: float = 0.8,
+    sent: float = 0.0,
+    misfit: float = 0.0,
+    by: Light = CLEAR,
+) -> Floats:
+    # A body under parts of its light, with a misfit beside the floor of 0.01 under the error of a spectrum
+    spectrum = body * (direct * by.direct + sky * by.diffuse + sent * RED)
+    return np.asarray(spectrum + misfit * (spectrum + 0.01) * ZIGZAG)
+
+
+def states(
+    number: Any, spectra: list[Floats], side: Any = AWAY, by: Light = CLEAR
+) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.bool_]]:
+    # States of the segments of a map, and whether they are ground
+    numbers, count = np.ascontiguousarray(number, np.int32), len(spectra)
+    size = np.bincount(numbers.ravel(), minlength=count).astype(np.int64)
+    matches, ground = match_shade(numbers, np.stack(spectra), size, touching(numbers, count), by, side)
+    return matches.state, ground
+
+
+def contact(
+    far: int,
+    near: int = 0,
+    across: int = 0,
+    shape: tuple[int, int] = (20, 20),
+    body: int = 1,
+    right: int = 0,
+    touched: int | None = None,
+) -> npt.NDArray[np.int32]:
+    # Map of a rectangle 2 inside a thing 3, which lets it touch its body, or another segment, on some pixels
+    # of its sides: a white roof 1 on the ground 0, or this ground. The shadow 4 of another thing shows the
+    # side of the sun
+    number = np.zeros((100, 100), np.int32)
+    number[20:75, 20:80] = body
+    number[85:88, 20:80] = 3
+    number[88:96, 20:80] = 4
+    top, left = 50 - shape[0] // 2, 50 - shape[1] // 2
+    end, last = top + shape[0], left + shape[1]
+    number[top - 3 : end + 3, left - 3 : last + 3] = 3
+    number[top:end, left:last] = 2
+    touched = body if touched is None else touched
+    number[end : end + 3, left : left + far] = touched
+    number[top - 3 : top, left : left + near] = touched
+    number[top : top + (across + 1) // 2 + right, last : last + 3] = touched
+    number[top : top + across // 2, left - 3 : left] = touched
+    return number
+
+
+#: A misfit with which no shadow is found by its spectrum alone.
+UNSURE = {"misfit": 0.027}
+
+
+@pytest.mark.parametrize(
+    ("sides", "light", "is_shadow"),
+    [
+        # a tenth of the border, at least 4 sides, touches the lit body
+        ({"far": 10}, {}, True),
+        ({"far": 6}, {}, False),
+        ({"far": 5, "shape": (8, 8)}, {}, True),
+        ({"far": 3, "shape": (7, 7)}, {}, False),
+        # on the side away from the sun: by a fifth
+        ({"far": 3, "across": 9}, {}, True),
+        ({"far": 2, "across": 11}, {}, False),
+        # or on 0.6 of the border, not by more than 0.35 on the side of the sun
+        ({"far": 6, "near": 6, "across": 40}, {}, True),
+        ({"far": 2, "near": 2, "across": 40}, {}, False),
+        ({"far": 0, "near": 20, "across": 40}, {}, True),
+        ({"far": 0, "near": 20, "across": 32}, {}, False),
+        # it sees 0.45 of the sky, and no sun
+        ({"far": 20}, {"sky": 0.48}, True),
+        ({"far": 20}, {"sky": 0.42}, False),
+        ({"far": 20}, {"direct": 0.013}, True),
+        ({"far": 20}, {"direct": 0.017}, False),
+        # where things hide the sky below 0.75 they send light: 0.12 of that
+        ({"far": 20}, {"direct": 0.042, "sky": 0.5}, True),
+        ({"far": 20}, {"direct": 0.048, "sky": 0.5}, False),
+        ({"far": 20}, {"misfit": 0.033}, True),
+        ({"far": 20}, {"misfit": 0.037}, False),
+        # half as bright as the body, under a hazy sky
+        ({"far": 20}, {"sky": 0.9, "by": HAZY}, True),
+        ({"far": 20}, {"sky": 0.99, "by": HAZY}, False),
+    ],
+)
+def test_clear_shadow__touches_its_lit_body(sides: Any, light: Any, is_shadow: bool) -> None:
+    by = light.get("by", CLEAR)
+    spectra = [GROUND, WHITE, lit(WHITE, **{**UNSURE, **light}), THING, lit(GROUND, sky=0.5, by=by)]
+    assert states(contact(**sides), spectra, by=by)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("sides", "light", "is_shadow"),
+    [
+        # clear ones touch it on any side but the sun's
+        ({"far": 0, "near": 3, "across": 17}, UNSURE, True),
+        ({"far": 0, "near": 5, "across": 15}, UNSURE, False),
+        # other ones on 0.04 of the border, by a tenth away from the sun
+        ({"far": 5, "shape": (30, 30)}, {"misfit": 0.05}, True),
+        ({"far": 4, "shape": (30, 30)}, {"misfit": 0.05}, False),
+        ({"far": 1, "across": 8}, {"misfit": 0.05}, True),
+        ({"far": 1, "across": 11}, {"misfit": 0.05}, False),
+        ({"far": 10}, {"misfit": 0.062}, True),
+        ({"far": 10}, {"misfit": 0.068}, False),
+        # more direct light on 0.15 of the border, by a quarter away from the sun
+        ({"far": 14}, {"direct": 0.045, "sky": 0.7}, True),
+        ({"far": 10}, {"direct": 0.045, "sky": 0.7}, False),
+        ({"far": 6, "across": 14}, {"direct": 0.045, "sky": 0.7}, True),
+        ({"far": 4, "across": 16}, {"direct": 0.045, "sky": 0.7}, False),
+        ({"far": 20}, {"direct": 0.048, "sky": 0.75}, True),
+        ({"far": 20}, {"direct": 0.052, "sky": 0.75}, False),
+        ({"far": 20}, {"direct": 0.132, "sky": 0.4}, True),  # 0.05 + 0.25 x 0.35
+        ({"far": 20}, {"direct": 0.143, "sky": 0.4}, False),
+    ],
+)
+def test_shadow_on_the_ground__has_less_contact(sides: Any, light: Any, is_shadow: bool) -> None:
+    spectra = [GROUND, WHITE, lit(GROUND, **light), THING, lit(GROUND, sky=0.5)]
+    assert states(contact(body=0, **sides), spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("width", "light", "level", "is_shadow"),
+    [
+        # 2 % in all channels of the sky's light, without sun and light of neighbours
+        (16, {"misfit": 0.018}, 0.7, True),
+        (16, {"misfit": 0.022}, 0.7, False),
+        (16, {"direct": 0.018, "sky": 0.6}, 0.7, True),
+        (16, {"direct": 0.022, "sky": 0.6}, 0.7, False),
+        (16, {"sent": 0.018}, 0.7, True),
+        (16, {"sent": 0.022}, 0.7, False),
+        (16, {"sky": 0.48}, 0.7, True),
+        (16, {"sky": 0.42}, 0.7, False),
+        # glass and black paint mirror less than 0.09 of the sky
+        (16, {"sky": 0.5}, 0.187, True),
+        (16, {"sky": 0.5}, 0.173, False),
+        (4, {}, 0.7, True),  # 32 pixels
+        (3, {}, 0.7, False),
+    ],
+)
+def test_shadow__is_found_by_its_spectrum_beside_its_body(
+    width: int, light: Any, level: float, is_shadow: bool
+) -> None:
+    # Nothing touches its lit body 1, which is some pixels away
+    number = np.zeros((60, 100), np.int32)
+    number[10:40, 10:60] = 3
+    number[10:40, 20 + width + 4 : 60] = 1
+    number[10:18, 20 : 20 + width] = 2
+    number[20:38, 20:36] = 4  # a red car may send light
+    spectra = [0.2 * GROUND, level * np.ones(24), lit(level * np.ones(24), **light), 0.7 * THING, RED]
+    assert states(number, spectra, side=None)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(("apart", "is_shadow"), [(7, True), (9, False)])
+def test_shadow_by_its_spectrum__is_within_eight_pixels_of_its_body(apart: int, is_shadow: bool) -> None:
+    number = np.full((40, 100), 3, np.int32)
+    number[:, :20], number[:, 30 + apart :] = 0, 1
+    number[10:22, 20:30] = 2
+    assert states(number, [GROUND, WHITE, lit(WHITE), THING])[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("level", "shape", "rows", "has_roof", "is_shadow"),
+    [
+        # a patch of the roof may be brighter by 0.35, or of another shape by 0.08
+        (1.30, 0.0, 3, True, True),
+        (1.40, 0.0, 3, True, False),
+        (1.0, 0.07, 3, True, True),
+        (1.0, 0.09, 3, True, False),
+        # the lit part of a body is a fifth of its shadow
+        (1.0, 0.0, 5, False, True),
+        (1.0, 0.0, 3, False, False),
+    ],
+)
+def test_lit_body__shows_the_surface_of_the_shadow(
+    level: float, shape: float, rows: int, has_roof: bool, is_shadow: bool
+) -> None:
+    number = contact(0)
+    number[number == 1] = 1 if has_roof else 3
+    number[60 : 60 + rows, 40:60] = 5
+    patch = level * WHITE * (1.0 + shape * ZIGZAG)
+    spectra = [GROUND, WHITE, lit(WHITE, **UNSURE), THING, lit(GROUND, sky=0.5), patch]
+    assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(("sky", "is_shadow"), [(0.33, True), (0.27, False)])
+def test_dark_shadow__does_not_show_its_side(sky: float, is_shadow: bool) -> None:
+    number = contact(20, body=0)
+    number[number == 4] = 0
+    spectra = [GROUND, WHITE, lit(GROUND, sky=sky, **UNSURE), THING]
+    assert states(number, spectra, side=None)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(("sent", "is_shadow"), [(0.18, True), (0.22, False)])
+def test_clear_shadow__gets_less_light_of_a_neighbour_than_half_the_hidden_sky(
+    sent: float, is_shadow: bool
+) -> None:
+    number = contact(12, shape=(12, 12))
+    number[42:58, 24:40] = 5
+    spectra = [GROUND, WHITE, lit(WHITE, sky=0.6, sent=sent, **UNSURE), THING, lit(GROUND, sky=0.5), RED]
+    assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("rows", "level", "size", "is_ground"),
+    [
+        (15, 0.4, 400, True),  # a tenth of all shadows lies on it: 540 pixels
+        (11, 0.4, 400, False),
+        (15, 0.48, 400, True),  # white cars are brighter than 0.5
+        (15, 0.52, 400, False),
+        (15, 0.4, 330, True),  # 0.03 of the line
+        (15, 0.4, 270, False),
+    ],
+)
+def test_ground__has_many_shadows(rows: int, level: float, size: int, is_ground: bool) -> None:
+    number = contact(0)
+    number[20:75, 20:80] = 0
+    number[10 : 10 + size // 10, 5:15] = 1
+    number[1 : 1 + 4, 5 : 5 + rows] = 2
+    number[5:7, 5 : 5 + rows] = 1
+    concrete = np.full(24, level)
+    spectra = [GROUND, concrete, lit(concrete), THING, lit(GROUND, sky=0.5)]
+    assert states(number, spectra)[1][1] == is_ground
+
+
+@pytest.mark.parametrize(
+    ("near", "right", "is_contradictory"), [(4, 16, False), (6, 16, True)]  # by a cosine of -0.3
+)  # fmt: skip
+def test_side_of_shadows__contradicts_the_predicted_one(
+    near: int, right: int, is_contradictory: bool
+) -> None:
+    number = contact(0, near, right=right, body=0)
+    number[number == 4] = 0
+    spectra = [GROUND, WHITE, lit(GROUND, **UNSURE), THING]
+    assert warns_of_side(number, spectra) == is_contradictory
+
+
+@pytest.mark.parametrize(("near", "right", "is_contradictory"), [(12, 14, True), (10, 15, False)])
+def test_side_of_shadows__is_that_of_most(near: int, right: int, is_contradictory: bool) -> None:
+    # Two shadows on different sides: their sum is 0.65 and 0.55 of both
+    first = contact(0, near, right=right, body=0)
+    first[first == 4] = 0
+    second = np.where(first == 2, 4, first)[:, ::-1]
+    spectra = [GROUND, WHITE, lit(GROUND, **UNSURE), THING, lit(GROUND, **UNSURE)]
+    assert warns_of_side(np.hstack([first, second]), spectra) == is_contradictory
+
+
+def warns_of_side(number: Any, spectra: list[Floats]) -> bool:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", PaintWarning)
+        states(number, spectra)
+    return any("shadow-side" in str(warning.message) for warning in caught)
+
+
+@pytest.mark.parametrize(
+    ("sides", "level", "light", "is_shadow"),
+    [
+        ({"near": 20}, 0.7, {"direct": 0.08, "sky": 0.6, "misfit": 0.018}, True),
+        ({"near": 20}, 0.7, {"direct": 0.08, "sky": 0.6, "misfit": 0.022}, False),
+        # ground and cars send a tenth of the sun's light, less than 0.4 of the sky's
+        ({"near": 20}, 0.7, {"direct": 0.095, "sky": 0.6}, True),
+        ({"near": 20}, 0.7, {"direct": 0.105, "sky": 0.6}, False),
+        ({"near": 20}, 0.7, {"direct": 0.09, "sky": 0.24}, True),
+        ({"near": 20}, 0.7, {"direct": 0.09, "sky": 0.21}, False),
+        # brighter bodies are in glint
+        ({"near": 20}, 0.95, {"direct": 0.08, "sky": 0.6}, True),
+        ({"near": 20}, 1.05, {"direct": 0.08, "sky": 0.6}, False),
+        # and a coat mirrors up to 0.13 of the sky
+        ({"near": 20}, 0.7, {"direct": 0.05, "sky": 0.2}, True),
+        ({"near": 20}, 0.7, {"direct": 0.05, "sky": 0.17}, False),
+        # its lit side is on the side of the sun
+        ({"near": 10}, 0.7, {"direct": 0.08, "sky": 0.6}, True),
+        ({"near": 6}, 0.7, {"direct": 0.08, "sky": 0.6}, False),
+        ({"near": 8, "across": 12}, 0.7, {"direct": 0.08, "sky": 0.6}, True),
+        ({"near": 6, "across": 14}, 0.7, {"direct": 0.08, "sky": 0.6}, False),
+    ],
+)
+def test_side_turned_away__gets_light_of_things_around(
+    sides: Any, level: float, light: Any, is_shadow: bool
+) -> None:
+    roof = level * np.ones(24)
+    spectra = [GROUND, roof, lit(roof, **light), THING, lit(GROUND, sky=0.5)]
+    assert states(contact(0, **sides), spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("sides", "body", "light", "is_shadow"),
+    [
+        # a clear shadow touches another one on 0.04 of its border, of 48 pixels, another one on 0.4
+        ({"far": 2}, GROUND, {"sky": 0.5, **UNSURE}, True),
+        ({"far": 1}, GROUND, {"sky": 0.5, **UNSURE}, False),
+        ({"across": 20}, GROUND, {"sky": 0.5, "misfit": 0.05}, True),
+        ({"across": 18}, GROUND, {"sky": 0.5, "misfit": 0.05}, False),
+        ({"across": 24}, GROUND, {"sky": 0.5, "misfit": 0.062}, True),
+        ({"across": 24}, GROUND, {"sky": 0.5, "misfit": 0.068}, False),
+        ({"across": 24}, GROUND, {"sky": 0.72, "misfit": 0.05}, True),
+        ({"across": 24}, GROUND, {"sky": 0.78, "misfit": 0.05}, False),
+        # on a thing, where it sees 0.45 of the sky
+        ({"across": 24}, WHITE, {"sky": 0.5, "misfit": 0.17}, True),
+        ({"across": 24}, WHITE, {"sky": 0.5, "misfit": 0.19}, False),
+        ({"across": 20}, WHITE, {"sky": 0.5, "misfit": 0.05}, True),
+        ({"across": 18}, WHITE, {"sky": 0.5, "misfit": 0.05}, False),
+        # enclosed by others on 0.7 of its border, it may get a quarter of the sun's light
+        ({"far": 11, "across": 24}, GROUND, {"direct": 0.2, "sky": 0.5}, True),
+        ({"far": 8, "across": 24}, GROUND, {"direct": 0.2, "sky": 0.5}, False),
+        ({"far": 12, "across": 24}, GROUND, {"direct": 0.23, "sky": 0.5}, True),
+        ({"far": 12, "across": 24}, GROUND, {"direct": 0.27, "sky": 0.5}, False),
+        ({"far": 12, "across": 24}, GROUND, {"direct": 0.2, "sky": 0.11}, True),
+        ({"far": 12, "across": 24}, GROUND, {"direct": 0.2, "sky": 0.09}, False),
+    ],
+)
+def test_shadow__touches_others(sides: Any, body: Any, light: Any, is_shadow: bool) -> None:
+    number = contact(**{"far": 0, **sides}, shape=(12, 12), body=0, touched=4)
+    number[25:35, 22:40] = 1 if body is WHITE else 0
+    spectra = [GROUND, WHITE, lit(body, **light), THING, lit(GROUND, sky=0.5)]
+    assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+def test_shadow_beside_another__may_get_as_much_light_from_a_neighbour_as_the_hidden_sky_has() -> None:
+    number = contact(4, shape=(12, 12), body=0, touched=4)
+    number[42:58, 24:40] = 5
+    spectra = [GROUND, WHITE, lit(GROUND, sky=0.6, sent=0.28, **UNSURE), THING, lit(GROUND, sky=0.5), RED]
+    assert states(number, spectra)[0][2] == SHADED
+
+
+@pytest.mark.parametrize(
+    ("sides", "shape", "light", "is_shadow"),
+    [
+        # on a bay line as wide as its lit part, beside shadows on the ground: 0.3 of the border
+        ({"far": 9}, (4, 10), {}, True),
+        ({"far": 8}, (4, 10), {}, False),
+        ({"far": 10}, (5, 10), {}, False),
+        # dark glass over a bay line would get less of the sky, and more of the sun
+        ({"far": 10}, (4, 10), {"sky": 0.24}, True),
+        ({"far": 10}, (4, 10), {"sky": 0.20}, False),
+        ({"far": 10}, (4, 10), {"direct": 0.037}, True),
+        ({"far": 10}, (4, 10), {"direct": 0.043}, False),
+        ({"far": 10}, (4, 10), {"misfit": 0.075}, True),
+        ({"far": 10}, (4, 10), {"misfit": 0.085}, False),
+    ],
+)
+def test_shadow_on_a_marking__is_no_black_roof(
+    sides: Any, shape: tuple[int, int], light: Any, is_shadow: bool
+) -> None:
+    number = contact(**sides, shape=shape, body=0, touched=4)
+    number[25:29, 25:65] = 1
+    dark_ground = 0.5 * GROUND
+    spectra = [
+        dark_ground,
+        WHITE,
+        lit(WHITE, **{"sky": 0.3, **light}),
+        0.5 * THING,
+        lit(dark_ground, sky=0.5),
+    ]
+    assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
+def test_shadows__extend_twelve_times() -> None:
+    # A row of parts that touch only one another
+    number = contact(0)
+    number[20:75, 20:80] = 3
+    number[0, :2] = 1, 2
+    number[20:23, 30:40] = 4
+    number[23:53, 30:40] = 5 + np.repeat(np.arange(15), 2)[:, None]
+    spectra = [GROUND, WHITE, GROUND, THING, lit(GROUND, sky=0.5), *15 * [lit(GROUND, sky=0.5, misfit=0.05)]]
+    assert (states(number, spectra)[0][5:] == SHADED).tolist() == 12 * [True] + 3 * [False]
+
+
+@pytest.mark.parametrize(("misfit", "is_shadow"), [(0.048, True), (0.051, False)])
+def test_shadow__fits_as_well_as_on_the_best_ground(misfit: float, is_shadow: bool) -> None:
+    # The misfit of the other ground, with too much sun, is 0.03: 1.5 of that and 0.004
+    other = np.full(24, 0.15)
+    smooth, error = lit(other, 0.1, 0.7), lit(other, 0.1, 0.7, misfit=0.03) - lit(other, 0.1, 0.7)
+    ground = (smooth + error * (1.0 - misfit / 0.03)) / (0.6 * CLEAR.diffuse)
+    number = contact(10, body=0)
+    number[2:14, 20:80], number[2:6, 30:50] = 1, 5
+    spectra = [ground, other, smooth + error, 2.0 * other, lit(ground, sky=0.5), lit(other)]
+    found, is_ground = states(number, spectra)
+    assert is_ground[:2].all()
+    assert found[2] == (SHADED if is_shadow else LIT)
+
+
+@pytest.mark.parametrize(
+    ("light", "by", "is_shadow"),
+    [
+        ({"direct": 0.78, "sky": 0.99}, HAZY, True),  # darker than 0.9 of the ground
+        ({"direct": 0.78, "sky": 1.06}, HAZY, False),
+        ({"direct": 0.78, "sky": 0.95}, CLEAR, True),
+        ({"direct": 0.82, "sky": 0.95}, CLEAR, False),
+        ({"direct": 0.70, "sky": 0.76}, CLEAR, True),  # grains of the ground lack both
+        ({"direct": 0.70, "sky": 0.74}, CLEAR, False),
+        ({"direct": 0.40, "sky": 0.90, "misfit": 0.19}, CLEAR, True),
+        ({"direct": 0.40, "sky": 0.90, "misfit": 0.21}, CLEAR, False),
+    ],
+)
+def test_pixel_of_the_ground__lacks_sun(light: Any, by: Light, is_shadow: bool) -> None:
+    pixel = lit(GROUND, **light, by=by).astype(np.float32)
+    number = np.zeros((1, 1), np.int32)
+    assert shaded_pixels(pixel[None, None], number, np.array([True]), GROUND[None], by)[0, 0] == is_shadow
+
+
+@pytest.mark.parametrize(
+    ("length", "width", "is_shadow"), [(18, 1, True), (14, 1, False), (22, 4, True), (18, 4, False)]
+)
+def test_shadow_of_a_post__is_long_and_thin(length: int, width: int, is_shadow: bool) -> None:
+    # 16 pixels, and five times as long as wide
+    shaded = np.zeros((30, 30), bool)
+    shaded[2 : 2 + length, 2 : 2 + width] = True
+    assert of_shadows(shaded, np.zeros_like(shaded)).any() == is_shadow
+
+
+@pytest.mark.parametrize(("brightness", "is_shadow"), [(0.37, True), (0.43, False)])
+def test_spot_on_the_ground__is_a_shadow_where_no_texture_is_as_dark(
+    brightness: float, is_shadow: bool
+) -> None:
+    cube = np.broadcast_to(GROUND, (40, 40, 24)).copy()
+    sky = 0.95 * CLEAR.diffuse.mean()
+    cube[20:23, 20:23] = lit(GROUND, (brightness - sky) / CLEAR.direct.mean(), 0.95)
+    model = survey(as_line(cube, NM), sun_zenith=40.0, diffuse="model")
+    assert (model.shade_distance[21, 21] == 0) == is_shadow
+
+
+@pytest.mark.parametrize(
+    ("light", "fades"),
+    [
+        ({"direct": 0.5, "sky": 1.25}, True),
+        ({"direct": 0.5, "sky": 1.35}, False),
+        ({"direct": 0.5, "sky": 0.9, "misfit": 0.062}, True),
+        ({"direct": 0.5, "sky": 0.9, "misfit": 0.068}, False),
+    ],
+)
+def test_light__fades_over_eight_pixels_beside_a_shadow(light: Any, fades: bool) -> None:
+    number = np.repeat([[1] * 10 + [2] * 30], 5, axis=0).astype(np.int32)
+    number[0] = 0
+    spectra = np.stack([WHITE, lit(WHITE), lit(WHITE, **light)]).astype(np.float32)
+    matches = Matches(np.array([LIT, SHADED, LIT], np.int8), np.array([0, 0, 2], np.int32))
+    found = penumbrae(spectra[number], number, matches, np.zeros(3, bool), CLEAR)
+    assert (found == 1).sum(axis=1).tolist() == [0] + 4 * [18 if fades else 10]
+
+
+def test_diffuse_fraction__is_that_of_pixels_under_the_open_sky() -> None:
+    # Expected: the mean of the 60th to the 90th percentile of 61 pixels, 0.75 of the sky's light
+    channels = np.concatenate([[GROUND], np.linspace(0.0, 1.0, 61)[:, None] * GROUND * CLEAR.diffuse])
+    samples, matches = (
+        [np.array([0]), np.arange(1, 62)],
+        Matches(np.array([LIT, SHADED], np.int8), np.zeros(2, np.int32)),
+    )
+    arguments = channels[None].astype(np.float32), samples, channels[[0, 31]]
+    found = fraction_in_shadow(*arguments, np.array([900, 61]), matches)
+    np.testing.assert_allclose(found, 0.75 * CLEAR.diffuse, rtol=1e-3)
+    with pytest.raises(SchemaError, match="shadow-missing"):
+        fraction_in_shadow(*arguments, np.array([900, 59]), matches)
