@@ -10,7 +10,7 @@ from support.analytic_scenes import as_line, smooth_edge
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.model import LIT, SHADED
+from hyperpaint.surroundings.model import GLINTED, LIT, SHADED
 from hyperpaint.surroundings.segments import (
     BRIGHT_IN_LOBE,
     IN_LOBE,
@@ -18,7 +18,10 @@ from hyperpaint.surroundings.segments import (
     Light,
     Matches,
     Picture,
+    match_segments,
     mirror_lobes,
+    mixtures_of,
+    senders_of,
     touching,
 )
 from hyperpaint.surroundings.surveying import (
@@ -696,3 +699,188 @@ def test_diffuse_fraction__is_that_of_pixels_under_the_open_sky() -> None:
     np.testing.assert_allclose(found, 0.75 * CLEAR.diffuse, rtol=1e-3)
     with pytest.raises(SchemaError, match="shadow-missing"):
         fraction_in_shadow(*arguments, np.array([900, 59]), matches)
+
+
+# --- black paint in the sun --------------------------------------------------------------------------------
+
+#: A pattern that no zigzag adds to.
+STEPS = np.resize([1.0, 1.0, -1.0, -1.0], 24)
+
+
+@pytest.mark.parametrize(
+    ("body", "slope", "mirrored", "misfit", "as_shade", "is_coat"),
+    [
+        (0.0034, 0.0, 0.05, 0.0, 0.03, True),  # with less its light does not show the sun
+        (0.0026, 0.0, 0.05, 0.0, 0.03, False),
+        (0.035, 0.0, 0.10, 0.0, 0.03, True),  # 0.05 with the mirrored sky
+        (0.039, 0.0, 0.10, 0.0, 0.03, False),
+        (0.007, 0.0, 0.033, 0.0, 0.03, True),  # a level coat mirrors 0.04, a leaning one up to 0.12
+        (0.007, 0.0, 0.027, 0.0, 0.03, False),
+        (0.007, 0.0, 0.125, 0.0, 0.03, True),
+        (0.007, 0.0, 0.138, 0.0, 0.03, False),
+        (0.030, 0.55, 0.05, 0.0, 0.03, True),  # black changes over the spectrum by 0.6
+        (0.030, 0.68, 0.05, 0.0, 0.03, False),
+        (0.007, 0.0, 0.05, 0.0036, 0.03, True),
+        (0.007, 0.0, 0.05, 0.0044, 0.03, False),
+        (0.007, 0.0, 0.05, 0.0035, 0.0050, True),  # a shadow fits worse by 1.3
+        (0.007, 0.0, 0.05, 0.0035, 0.0040, False),
+    ],
+)
+def test_black_coat_in_the_sun__mirrors_the_sky(
+    body: float, slope: float, mirrored: float, misfit: float, as_shade: float, is_coat: bool
+) -> None:
+    # The ground is such that its shadow, in a tenth of the sun's light or less, has the same spectrum but for
+    # a misfit
+    paint = body * (1.0 + slope * np.linspace(-1.0, 1.0, 24)) + mirrored * CLEAR.diffuse
+    direct, sky = 0.03, 0.5
+    ground = paint / (direct * CLEAR.direct + sky * CLEAR.diffuse)
+    ground *= 1.0 + np.sqrt(as_shade**2 - misfit**2) * (1.0 + 0.01 / paint) * STEPS
+    spectra = [ground, WHITE, paint + misfit * (paint + 0.01) * ZIGZAG, ground.mean() * (1.0 + 0.5 * STEPS)]
+    number = contact(6, body=0)
+    number[number == 4] = 0
+    assert states(number, spectra)[0][2] == (LIT if is_coat else SHADED)
+
+
+# --- mirror images that cover a segment --------------------------------------------------------------------
+
+#: A light in which a shadow may be a third as bright as its body.
+MILD = Light.under(np.linspace(0.5, 0.2, 24))
+
+
+def is_glint(
+    body: Floats,
+    seen: Floats,
+    *,
+    body_px: int = 100,
+    step: float = 0.1,
+    zenith: float = 45.0,
+    by: Light = CLEAR,
+) -> bool:
+    # Whether a segment beside a body is this body under the mirrored sun
+    spectra, number = np.stack([body, seen]), np.repeat([[0] * 10 + [1] * 10], 10, axis=0).astype(np.int32)
+    matches = Matches(np.zeros(2, np.int8), np.arange(2, dtype=np.int32))
+    pairs, contrast = touching(number, 2), abs(seen.mean() - body.mean())
+    steps = np.full(2, step * contrast)
+    found = match_segments(spectra, np.array([body_px, 100]), pairs, by, matches, steps, zenith)
+    return bool(found.state[1] == GLINTED)
+
+
+@pytest.mark.parametrize(
+    ("level", "glint", "misfit", "options", "expected"),
+    [
+        (0.1, 0.0036, 0.0, {}, False),  # a lean adds as much
+        (0.1, 0.0064, 0.0, {}, True),
+        (1.0, 0.3, 0.93, {}, True),  # within the tolerance of 2 % and 0.0005
+        (1.0, 0.3, 1.07, {}, False),
+        (0.03, 0.02, 0.93, {}, True),
+        (0.03, 0.02, 1.07, {}, False),
+        (1.0, 0.3, 0.0, {"body_px": 105}, True),  # the body is as large
+        (1.0, 0.3, 0.0, {"body_px": 95}, False),
+        (1.0, 0.3, 0.0, {"step": 0.33}, True),  # mirror images fade out, bodies have edges
+        (1.0, 0.3, 0.0, {"step": 0.37}, False),
+    ],
+)
+def test_segment__is_a_body_under_the_mirrored_sun(
+    level: float, glint: float, misfit: float, options: Any, expected: bool
+) -> None:
+    seen = level * RED + glint * CLEAR.direct
+    assert is_glint(level * RED, seen + misfit * (0.02 * seen + 0.0005) * ZIGZAG, **options) == expected
+
+
+@pytest.mark.parametrize(("direct", "expected"), [(1.50, False), (1.62, True)])
+def test_lean__explains_brightness_up_to_the_sun_at_normal_incidence(direct: float, expected: bool) -> None:
+    # 1.1 / cos(45 degrees) = 1.556
+    assert is_glint(GROUND, GROUND * (direct * CLEAR.direct + CLEAR.diffuse)) == expected
+
+
+@pytest.mark.parametrize(
+    ("sky", "misfit", "level", "by", "expected"),
+    [
+        (0.22, 0.0, 0.1, MILD, False),  # a shadow sees 0.2 of the sky and more, up to 1.15
+        (0.18, 0.0, 0.1, MILD, True),
+        (1.11, 0.0, 0.1, MILD, False),
+        (1.19, 0.0, 0.1, MILD, True),
+        (0.90, 0.0, 0.1, HAZY, False),  # and is less than half as bright
+        (0.99, 0.0, 0.1, HAZY, True),
+        (0.80, 0.105, 0.01, MILD, False),  # with a misfit of 0.11
+        (0.80, 0.115, 0.01, MILD, True),
+    ],
+)
+def test_darker_segment__may_be_the_brighter_one_in_shadow(
+    sky: float, misfit: float, level: float, by: Light, expected: bool
+) -> None:
+    # The only bodies that are each other in shadow and in glint
+    share = sky * by.diffuse
+    body = by.direct * share / (1.0 - share)
+    glint = level / body.mean()
+    body = glint * body
+    body = body + misfit * (body + 0.00625) / (1.0 - share) * ZIGZAG
+    assert is_glint(body, body + glint * by.direct, by=by) == expected
+
+
+def test_glint__extends_six_times() -> None:
+    # Every segment is larger than the one before, which therefore is not its body, and touches only that
+    number = np.repeat([[0] * 10 + [k for k in range(1, 9) for _ in range(4)]], 10, axis=0).astype(np.int32)
+    spectra = np.stack([RED, *8 * [RED + 0.3 * CLEAR.direct]]) * np.linspace(1.0, 1.01, 9)[:, None]
+    matches = Matches(np.zeros(9, np.int8), np.arange(9, dtype=np.int32))
+    sizes, pairs = np.array([999, *range(40, 120, 10)]), touching(number, 9)
+    found = match_segments(spectra, sizes, pairs, CLEAR, matches, np.zeros(pairs.one.size), 45.0)
+    assert (found.state == GLINTED).tolist() == [False, *6 * [True], False, False]
+
+
+# --- amounts of light of pairs, and neighbours that send light ---------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("light", "is_possible"),
+    [
+        ({"direct": 0.38, "sky": 0.5}, True),
+        ({"direct": 0.42, "sky": 0.5}, False),
+        ({"sky": 1.08}, True),  # bright things beside it add to the sky
+        ({"sky": 1.12}, False),
+        ({"misfit": 0.28}, True),
+        ({"misfit": 0.32}, False),
+    ],
+)
+def test_mixture__may_be_a_shadow(light: Any, is_possible: bool) -> None:
+    one, none = np.array([1]), np.full((2, 0), -1)
+    found = mixtures_of(one, one - 1, np.stack([GROUND, lit(GROUND, **light)]), none, CLEAR)
+    assert found.segment.size == is_possible
+
+
+def sent_to(number: Any, senders: list[Floats]) -> Any:
+    # Segments that may send light to the first one
+    spectra = np.stack([GROUND, *senders])
+    return senders_of(number.astype(np.int32), spectra, np.bincount(number.ravel(), minlength=len(spectra)))
+
+
+@pytest.mark.parametrize(
+    ("level", "colour", "px", "distance", "sends"),
+    [
+        (0.043, 0.5, 400, 20, True),
+        (0.037, 0.5, 400, 20, False),
+        (0.3, 0.33, 400, 20, True),
+        (0.3, 0.27, 400, 20, False),
+        (0.3, 0.5, 160, 20, True),
+        (0.3, 0.5, 140, 20, False),
+        (0.3, 0.5, 400, 56, True),
+        (0.3, 0.5, 400, 68, False),
+    ],
+)
+def test_sender__is_bright_coloured_large_and_near(
+    level: float, colour: float, px: int, distance: int, sends: bool
+) -> None:
+    number = np.full((20, 120), 2)
+    number[:, :4] = 0
+    number[:, 4 + distance : 4 + distance + px // 20] = 1
+    senders = sent_to(number, [level * (1.0 + colour * ZIGZAG), GROUND])
+    assert (1 in senders[0]) == sends
+
+
+@pytest.mark.parametrize(("size", "count"), [(2, 4), (40, 6)])
+def test_senders__are_four_of_a_place_and_six_of_a_segment(size: int, count: int) -> None:
+    # Eight red cars around it
+    y, x = np.indices((80, 80)) - 40
+    number = 1 + ((np.arctan2(y, x) / (2.0 * np.pi) % 1.0) * 8).astype(int)
+    number[(np.abs(y) <= size // 2) & (np.abs(x) <= size // 2)] = 0
+    assert (sent_to(number, 8 * [RED])[0] >= 0).sum() == count
