@@ -1,5 +1,6 @@
 """Thresholds of detection: inputs on both sides of each, so that twice or half of it changes a decision."""
 
+import itertools
 import warnings
 from typing import Any
 
@@ -18,15 +19,22 @@ from hyperpaint.surroundings.segments import (
     Light,
     Matches,
     Picture,
+    beyond,
+    divide,
     match_segments,
     mirror_lobes,
     mixtures_of,
+    sample_pixels,
     senders_of,
     touching,
 )
 from hyperpaint.surroundings.surveying import (
+    channel_noise,
+    clean_references,
     fraction_in_shadow,
+    is_vegetation,
     match_shade,
+    nearest_coloured,
     of_shadows,
     penumbrae,
     shaded_pixels,
@@ -884,3 +892,255 @@ def test_senders__are_four_of_a_place_and_six_of_a_segment(size: int, count: int
     number = 1 + ((np.arctan2(y, x) / (2.0 * np.pi) % 1.0) * 8).astype(int)
     number[(np.abs(y) <= size // 2) & (np.abs(x) <= size // 2)] = 0
     assert (sent_to(number, 8 * [RED])[0] >= 0).sum() == count
+
+
+# --- coloured bodies, and their spectra without glint ------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("level", "colour", "px", "sends"),
+    [
+        (0.3, 0.042, 400, True),
+        (0.3, 0.038, 400, False),
+        (0.5, 0.055, 400, True),  # a tenth of its brightness, or it may be the mirrored sun
+        (0.5, 0.045, 400, False),
+        (0.3, 0.200, 42, True),
+        (0.3, 0.200, 38, False),
+        (0.95, 0.200, 400, True),  # brighter ones mirror the sun
+        (1.05, 0.200, 400, False),
+    ],
+)
+def test_coloured_neighbour__lights_others(level: float, colour: float, px: int, sends: bool) -> None:
+    number = np.zeros((40, 40), np.int32)
+    number[10:30, 10:30] = 1
+    spectra, lit_ones = (
+        np.stack([GROUND, level + colour * ZIGZAG]),
+        Matches(np.zeros(2, np.int8), np.arange(2, dtype=np.int32)),
+    )
+    found = nearest_coloured(number, np.array([1200, px]), spectra, lit_ones, CLEAR, 120)
+    assert (found == 1).any() == sends
+
+
+def test_cells__have_four_coloured_neighbours() -> None:
+    y, x = np.indices((80, 80)) - 40
+    number = (1 + ((np.arctan2(y, x) / (2.0 * np.pi) % 1.0) * 8).astype(int)).astype(np.int32)
+    matches = Matches(np.zeros(9, np.int8), np.arange(9, dtype=np.int32))
+    found = nearest_coloured(number, np.full(9, 800), np.stack([GROUND, *8 * [RED]]), matches, CLEAR, 120)
+    assert ((found >= 0).sum(axis=2) == 4).all()
+
+
+def cleaned(*bodies: Floats, zenith: float = 0.0, same: Any = ((), ())) -> tuple[Floats, Floats]:
+    # Spectra without glint, and the spread of direct light, of bodies with pixels (pixel, channel)
+    ends = np.cumsum([0, *map(len, bodies)])
+    samples = [np.arange(start, stop) for start, stop in itertools.pairwise(ends)]
+    spectra, channels = np.stack([np.median(body, axis=0) for body in bodies]), np.concatenate(bodies)[None]
+    count = len(bodies)
+    matches = Matches(np.zeros(count, np.int8), np.arange(count, dtype=np.int32))
+    pairs = np.array(same[0], np.int64), np.array(same[1], np.int64)
+    return clean_references(
+        channels.astype(np.float32), samples, spectra, matches, pairs, CLEAR,
+        lambda pixels: np.full((pixels.size, 2), -1, np.int32), zenith,
+    )  # fmt: skip
+
+
+#: Level of direct light in a spectrum that is flat.
+FLAT_LEVEL = CLEAR.direct.sum() / (CLEAR.direct**2).sum()
+
+
+def grey_body(
+    ratios: Any, level: float = 0.3, count: int = 1000, sky: float = 1.0, colour: float = 0.0
+) -> Floats:
+    # Pixels of a grey body by ascending brightness: quantiles and ratios to its level of direct light; its
+    # darkest fifth sees a part of the sky only
+    quantile = (np.arange(count) + 0.5) / count
+    added = (np.interp(quantile, *np.transpose(ratios)) - 1.0) * FLAT_LEVEL * level
+    seen = np.where(quantile[:, None] < 0.2, sky, 1.0)
+    return np.asarray(
+        level * (CLEAR.direct + seen * CLEAR.diffuse) + added[:, None] * CLEAR.direct + colour * ZIGZAG
+    )
+
+
+def mostly_glint(top: float = 1.6, median: float = 1.15, lowest: float = 1.0) -> Any:
+    # Quantiles and ratios of a body of which more than half is brighter than its darkest parts
+    return [(0.10, lowest), (0.11, 1.0), (0.20, 1.0), (0.22, median), (0.90, median), (0.95, top)]
+
+
+@pytest.mark.parametrize(
+    ("body", "is_mostly_glint"),
+    [
+        (grey_body(mostly_glint()), True),
+        # glint is brighter by 1.3 than a surface that faces the sun
+        (grey_body(mostly_glint(top=1.36)), True),
+        (grey_body(mostly_glint(top=1.24)), False),
+        (grey_body(mostly_glint(top=1.27, lowest=0.95)), False),
+        # and the median by 1.08 than the darkest parts
+        (grey_body(mostly_glint(median=1.11)), True),
+        (grey_body(mostly_glint(median=1.06)), False),
+        # beside a shadow the darkest parts are much darker
+        (grey_body(mostly_glint(median=3.3, top=9.0)), True),
+        (grey_body(mostly_glint(median=3.7, top=9.0)), False),
+        # and lack light of the sky
+        (grey_body(mostly_glint(), sky=0.84), True),
+        (grey_body(mostly_glint(), sky=0.76), False),
+        # lean of bodies brighter than 0.1 is as bright as glint
+        (grey_body(mostly_glint(median=1.3, top=2.0), level=0.105), True),
+        (grey_body(mostly_glint(), level=0.095), False),
+        (grey_body(mostly_glint(), colour=0.3 * 0.078), True),
+        (grey_body(mostly_glint(), colour=0.3 * 0.100), False),
+        (grey_body(mostly_glint(), count=52), True),
+        (grey_body(mostly_glint(), count=48), False),
+    ],
+)
+def test_grey_body__is_mostly_in_glint(body: Floats, is_mostly_glint: bool) -> None:
+    # Its parts lean by less than others': two degrees under a sun at 45 degrees, not six
+    (spread,) = cleaned(body)[1]
+    assert (0.02 < spread < 0.04) if is_mostly_glint else (0.07 < spread < 0.15)
+
+
+@pytest.mark.parametrize(
+    ("plateau", "quantile"),
+    [
+        (0.060, 0.20),  # mostly without glint: the mean of the 5th to the 35th percentile
+        (0.073, 0.06),  # else that of the 2nd to the 10th
+        (0.300, 0.06),
+    ],
+)
+def test_grey_body_without_glint__is_its_darker_part(plateau: float, quantile: float) -> None:
+    slope = plateau / (FLAT_LEVEL * 0.3)
+    ratios = [(0.0, 1.0), (0.5, 1.0 + 0.5 * slope), (0.6, 2.5), (1.0, 4.0)]
+    (reference,) = cleaned(grey_body(ratios, count=5000))[0]
+    np.testing.assert_allclose(reference, 0.3 + quantile * plateau * CLEAR.direct, atol=0.02 * plateau)
+
+
+@pytest.mark.parametrize(
+    ("glint", "count", "quantile"),
+    [
+        (0.1000, 5000, 0.055),  # the 1st to the 10th percentile of glint is nearly without it
+        (0.0085, 5000, 0.055),  # where it differs by more than noise, 0.003
+        (0.0065, 5000, 0.500),
+        (0.1000, 70, 0.055),  # 6 pixels
+        (0.1000, 50, 0.500),  # 4 pixels
+    ],
+)
+def test_coloured_body_without_glint__is_where_least_is_added(
+    glint: float, count: int, quantile: float
+) -> None:
+    added = glint * (np.arange(count) + 0.5) / count
+    (reference,) = cleaned(RED + added[:, None] * CLEAR.direct)[0]
+    tolerance = 0.004 if count > 100 else 0.03
+    np.testing.assert_allclose(
+        reference.mean(), (RED + quantile * glint * CLEAR.direct).mean(), atol=tolerance * glint
+    )
+
+
+@pytest.mark.parametrize(("px", "is_clean"), [(110, True), (90, False)])
+def test_body_all_in_glint__has_the_spectrum_of_another_part(px: int, is_clean: bool) -> None:
+    # That is a tenth as large
+    glint = RED + 0.05 * CLEAR.direct
+    reference = cleaned(np.tile(glint, (1000, 1)), np.tile(RED, (px, 1)), same=([0], [1]))[0]
+    np.testing.assert_allclose(reference[0], RED if is_clean else glint, atol=0.003)
+
+
+# --- leaves ------------------------------------------------------------------------------------------------
+
+
+def leaves(*spikes: tuple[float, float, float]) -> Floats:
+    # Reflectance of leaves, with other values (from, to, reflectance) in a range of wavelengths [nm]
+    nm = np.arange(400.0, 1001.0, 5.0)
+    spectrum = np.interp(nm, [500, 530, 570, 600, 690, 735], [0.03, 0.08, 0.08, 0.04, 0.04, 0.5])
+    for first, last, value in spikes:
+        spectrum[(nm >= first) & (nm <= last)] = value
+    return np.asarray(spectrum)
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "is_leaf"),
+    [
+        (leaves(), True),
+        # blue, green, red, the red edge and the plateau are where they are
+        (leaves((400, 425, 0.9), (495, 530, 0.0), (570, 655, 0.0), (695, 730, 0.0), (905, 1000, 3.0)), True),
+        (leaves((400, 425, 0.0), (495, 530, 0.9), (570, 655, 0.9), (695, 730, 0.9), (905, 1000, 0.0)), True),
+        (leaves((770, 785, 9.0)), True),
+        (leaves((430, 490, 0.1)), False),
+        (leaves((535, 565, 0.02)), False),
+        (leaves((660, 690, 0.3)), False),
+        (leaves((735, 765, 0.1)), False),
+        (leaves((790, 900, 0.8)), False),
+        (leaves((660, 690, 0.155)), True),  # three times as bright after the red edge
+        (leaves((660, 690, 0.180)), False),
+        (leaves((790, 900, 0.68)), True),  # and not 1.4 times as bright after that
+        (leaves((790, 900, 0.72)), False),
+    ],
+)
+def test_leaves__have_a_red_edge(spectrum: Floats, is_leaf: bool) -> None:
+    assert is_vegetation(spectrum[None], np.arange(400.0, 1001.0, 5.0))[0] == is_leaf
+
+
+# --- segments and channels ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("step", "count"), [(0.0108, 2), (0.0092, 1)])
+@pytest.mark.parametrize("level", [0.005, 0.3])
+def test_segments__are_joined_over_steps_below_one_over_their_pixels(
+    level: float, step: float, count: int
+) -> None:
+    # Halves of 100 pixels; steps are relative to the reflectance and 0.01
+    picture = np.full((10, 20, 4), level, np.float32)
+    picture[:, 10:] += step * (level + 0.01) / (1.0 - 0.5 * step)
+    assert divide(picture).size.size == count
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "corners", "is_segment"),
+    [
+        (3, 5, 3, True),  # 12 pixels
+        (3, 5, 4, False),
+        (3, 5, 0, True),  # of which three are inside
+        (3, 4, 0, False),
+    ],
+)
+def test_segment__is_large_and_wide(rows: int, columns: int, corners: int, is_segment: bool) -> None:
+    picture = np.full((20, 20, 4), 0.1, np.float32)
+    spot = np.ones((rows, columns), bool)
+    for corner in [(0, 0), (0, -1), (-1, 0), (-1, -1)][:corners]:
+        spot[corner] = False
+    picture[8 : 8 + rows, 8 : 8 + columns][spot] = 0.9
+    assert divide(picture).size.size == 1 + is_segment
+
+
+@pytest.mark.parametrize(
+    ("sides", "px", "are_linked"), [(4, 2900, True), (2, 2900, False), (4, 3100, False)]
+)  # fmt: skip
+def test_small_segment__links_its_neighbours(sides: int, px: int, are_linked: bool) -> None:
+    # Over three sides and more: all things in a car park touch the asphalt
+    number = np.repeat([[0] * 4 + [2] * 4 + [1] * 4], sides, axis=0).astype(np.int32)
+    one, other = beyond(touching(number, 3), np.array([50, 50, px]))
+    assert ((one == 0) & (other == 1)).any() == are_linked
+
+
+def test_samples__are_two_thousand_pixels_at_most() -> None:
+    number = np.zeros((50, 100), np.int32)
+    (sample,) = sample_pixels(number, np.ones(number.shape, bool), 1)
+    assert 1024 < sample.size <= 2048
+
+
+@pytest.mark.parametrize("level", [0.008, 0.012, 0.2])
+def test_noise__is_relative_to_reflectance_but_on_black(level: float) -> None:
+    channels = np.random.default_rng(3).normal(level, 1e-4, (60, 60, 5)).astype(np.float32)
+    noise = channel_noise(channels, np.zeros((60, 60), np.int32), np.ones((60, 60), bool))
+    np.testing.assert_allclose(noise, 1e-4 / max(level, 0.01), rtol=0.07)
+
+
+def test_spectra__are_of_pixels_two_pixels_from_the_border() -> None:
+    cube = np.full((40, 60, 24), 0.1)
+    cube[:, 20:26] = np.array([0.3030, 0.3015, 0.3000, 0.3000, 0.3015, 0.3030])[:, None]
+    model = survey(as_line(cube, NM), sun_zenith=40.0, diffuse="model")
+    np.testing.assert_allclose(model.spectrum[model.segment[20, 22]], 0.30075, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("direct", "has_lobe"), [(0.055, True), (0.045, False)])
+def test_without_sun__no_sun_is_mirrored(direct: float, has_lobe: bool) -> None:
+    cube = np.full((40, 40, 24), 0.3)
+    cube[20, 20] += 5.0
+    model = survey(as_line(cube, NM), diffuse=np.full(24, 1.0 - direct))
+    assert model.lobe.any() == has_lobe
