@@ -78,6 +78,26 @@ def test_what_cannot_be_told_is_refused_with_a_reason() -> None:
         assert text in reason
 
 
+def test_strength__is_as_uncertain_as_leans_of_higher_order_make_it() -> None:
+    # Without noise the errors over all suns are those of the first order, on average as large as stated
+    errors = []
+    for sun in (30.0, 35.0, 45.0, 55.0, 60.0):
+        members = pixels(np.full(NM.size, 0.012), 1.0, sun, noise=1e-6)
+        strength, u, _ = strength_of(members, NM, diffuse_fraction(NM, sun), sun)
+        errors.append((strength - 1.0) / u)
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.3
+
+
+def test_strength__is_reported_where_it_distinguishes_coats() -> None:
+    # A freshly polished coat has a strength of 1, a worn one of 0.4 and less: two uncertainties apart
+    reported, refused = [], []
+    for noise in np.linspace(1e-4, 8e-4, 8):
+        members = pixels(np.full(NM.size, 0.02), 1.0, 45.0, noise=noise)
+        _, u, reason = strength_of(members, NM, diffuse_fraction(NM, 45.0), 45.0)
+        (refused if reason else reported).append(float(reason.split()[-1]) if reason else u)
+    assert 0.2 < max(reported) <= 0.3 <= min(refused) < 0.5
+
+
 # --- signatures of the body under a clear coat: what is put into a line by plain arithmetic comes back ----
 
 

@@ -13,7 +13,7 @@ from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_lines
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation import simulate_line
-from hyperpaint.surroundings.corrections import split_of
+from hyperpaint.surroundings.corrections import split_of, sun_zenith_of
 
 NM = np.linspace(420.0, 980.0, 15)
 LINES = 8
@@ -102,6 +102,18 @@ def test_a_line_with_a_record_alone() -> None:
     with pytest.warns(PaintWarning, match=r"75\.0 .*contradictory"):
         assert split_of(stored, None, 75.0).mean().states == ("contradictory",)
     assert split_of(stored, None, 23.0).mean().states == ("clear",)
+    # clocks and places are off by less than two degrees
+    clock = sun_zenith_of(line, None)
+    for turned, is_kept in ((1.7, True), (2.3, False)):
+        light = split_of(stored, None, clock + turned).fraction
+        assert np.array_equal(light, own.diffuse_fraction) == is_kept
+
+
+@pytest.mark.parametrize(("lines", "states"), [(8, ("clear", "broken")), (16, ("clear",))])
+def test_states__are_those_of_a_tenth_of_the_lines(lines: int, states: tuple[str, ...]) -> None:
+    line = xr.concat((lines // LINES) * [recorded(0.2, "clear")], "along_track", data_vars="minimal")
+    line["sky_state"][0] = SKY_STATES.index("broken")
+    assert split_of(line, None, 40.0).mean().states == states
 
 
 def test_words_that_are_none() -> None:

@@ -9,6 +9,7 @@ import xarray as xr
 from oracles.disort_sky import relative_sky
 
 import hyperpaint as hp
+from hyperpaint.light.clear_sky import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.surroundings.corrections import mirrored_sky, split_of
 
@@ -71,6 +72,23 @@ def test_drawn_coats_leans_and_skies_have_the_stated_spread() -> None:
     # the model of the sky itself adds 6 %
     expected = np.hypot(spread, 0.06 * truth(sun, view, 180.0, 0.16))
     np.testing.assert_allclose(u, expected, rtol=0.15)
+
+
+def test_uncertainty__covers_unknown_views_and_skies() -> None:
+    no_spread = {"index_u": 0.0, "lean_u": 0.0}
+    # an unknown view lies in the field of a usual camera, up to 20 degrees to both sides
+    value, u = mirrored_sky(split(40.0, 0.1), np.nan, np.nan, **no_spread)
+    views = [truth(40.0, view, turned, 0.1) for view in range(0, 21, 4) for turned in (0.0, 90.0, 180.0)]
+    np.testing.assert_allclose(u / value, np.sqrt(np.mean((views / value.values - 1.0) ** 2, axis=0)), 0.35)
+    # polarisation changes a sky by 3 to 6 %, the phase function of its aerosol as much
+    value, u = mirrored_sky(split(40.0, 0.1), **no_spread)
+    assert (0.042 * value < u).all()
+    assert (u < 0.085 * value).all()
+    # a sky taken for uniform may be clear, with a bright or a dark zenith
+    line = xr.Dataset(coords={"wavelength": ("band", NM, {"units": "nm"})})
+    value, u = mirrored_sky(split_of(line, np.full(3, 0.3), 40.0, "uniform"), **no_spread)
+    zeniths = np.array([zenith_radiance(NM, sun) for sun in (20.0, 30.0, 40.0, 50.0, 60.0)])
+    np.testing.assert_allclose(u / value, np.sqrt(np.mean((zeniths - 1.0) ** 2)), 0.3)
 
 
 def panel(level: float = 0.02) -> xr.Dataset:
