@@ -447,6 +447,20 @@ def test_lit_body__shows_the_surface_of_the_shadow(
     assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
 
 
+@pytest.mark.parametrize(("larger", "is_shadow"), [(38, True), (41, False)])
+def test_lit_body_far_away__is_one_of_the_forty_largest(larger: int, is_shadow: bool) -> None:
+    # The shadow touches only a patch of its surface; ground, the thing around it, another shadow and itself
+    # are larger, too
+    number = contact(0, shape=(8, 8))
+    number[number == 1] = 0
+    number[54, 46:54] = 5
+    number[2:6, 2:7] = 1
+    for k in range(larger - 4):
+        number[8 + k // 16 * 4 :, 6 * (k % 16) :][:4, :6] = 6 + k
+    spectra = [GROUND, WHITE, lit(WHITE, **UNSURE), THING, lit(GROUND, sky=0.5), WHITE, *37 * [THING]]
+    assert states(number, spectra)[0][2] == (SHADED if is_shadow else LIT)
+
+
 @pytest.mark.parametrize(("sky", "is_shadow"), [(0.33, True), (0.27, False)])
 def test_dark_shadow__does_not_show_its_side(sky: float, is_shadow: bool) -> None:
     number = contact(20, body=0)
