@@ -313,8 +313,8 @@ FLAGS = SimpleNamespace(
     evidence_sd2=9.0,
     # Expected amounts; parts as in `hyperpaint.kernels.unmixing` [1].
     expected=(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    # Standard deviations of the expected amounts [1].
-    spread=(0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1),
+    # Standard deviations of the expected amounts after the first, direct light, which has `tilt` [1].
+    spread=(0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1),
     # Maximum direct light on a surface that faces the sun, relative to a body that leans away a little [1].
     max_direct=1.1,
     min_glint=0.004,  # Minimum reflectance that glint adds, on any paint [1].

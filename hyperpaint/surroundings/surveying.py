@@ -1346,7 +1346,10 @@ def _flag_block(
             *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
         ),
         arguments.ChannelErrors(np.hypot(model.noise, FLAGS.relative_error), FLAGS.floor),
-        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, max_amounts),
+        # the kernel takes the spread of direct light from the tilt of the body
+        arguments.AmountPrior(
+            np.array(FLAGS.expected), np.array([np.nan, *FLAGS.spread]), model.tilt, max_amounts
+        ),
         FLAGS.evidence_sd2,
         arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
