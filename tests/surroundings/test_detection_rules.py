@@ -502,32 +502,26 @@ def test_ground__has_many_shadows(rows: int, level: float, size: int, is_ground:
 
 
 @pytest.mark.parametrize(
-    ("near", "right", "is_contradictory"), [(4, 16, False), (6, 16, True)]  # by a cosine of -0.3
-)  # fmt: skip
+    ("near", "right", "second", "is_contradictory"),
+    [
+        (4, 16, False, False),  # by a cosine of -0.3
+        (6, 16, False, True),
+        (12, 14, True, True),  # the sum of two shadows on different sides is 0.65 and 0.55 of both
+        (10, 15, True, False),
+    ],
+)
 def test_side_of_shadows__contradicts_the_predicted_one(
-    near: int, right: int, is_contradictory: bool
+    near: int, right: int, second: bool, is_contradictory: bool
 ) -> None:
     number = contact(0, near, right=right, body=0)
     number[number == 4] = 0
-    spectra = [GROUND, WHITE, lit(GROUND, **UNSURE), THING]
-    assert warns_of_side(number, spectra) == is_contradictory
-
-
-@pytest.mark.parametrize(("near", "right", "is_contradictory"), [(12, 14, True), (10, 15, False)])
-def test_side_of_shadows__is_that_of_most(near: int, right: int, is_contradictory: bool) -> None:
-    # Two shadows on different sides: their sum is 0.65 and 0.55 of both
-    first = contact(0, near, right=right, body=0)
-    first[first == 4] = 0
-    second = np.where(first == 2, 4, first)[:, ::-1]
-    spectra = [GROUND, WHITE, lit(GROUND, **UNSURE), THING, lit(GROUND, **UNSURE)]
-    assert warns_of_side(np.hstack([first, second]), spectra) == is_contradictory
-
-
-def warns_of_side(number: Any, spectra: list[Floats]) -> bool:
+    if second:
+        number = np.hstack([number, np.where(number == 2, 4, number)[:, ::-1]])
+    shadow = lit(GROUND, **UNSURE)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PaintWarning)
-        states(number, spectra)
-    return any("shadow-side" in str(warning.message) for warning in caught)
+        states(number, [GROUND, WHITE, shadow, THING, shadow][: number.max() + 1])
+    assert any("shadow-side" in str(warning.message) for warning in caught) == is_contradictory
 
 
 @pytest.mark.parametrize(
@@ -1282,7 +1276,7 @@ def test_lean__is_up_to_the_sun_at_normal_incidence() -> None:
 
 
 @pytest.mark.parametrize(("glint", "has_bit"), [(0.0037, False), (0.0043, True)])
-def test_glint_on_black_paint__adds_at_least_a_coats_noise(glint: float, has_bit: bool) -> None:
+def test_glint_on_black_paint__adds_a_minimum_of_reflectance(glint: float, has_bit: bool) -> None:
     body = 0.01 * RED
     line = pixels_flagged([body + glint / CLEAR.direct.mean() * CLEAR.direct], [body])
     assert has(line, Quality.GLINT) == [has_bit]
@@ -1300,7 +1294,7 @@ def test_missing_light__is_shadow_on_things_where_no_lean_explains_it() -> None:
     assert has(line, Quality.SHADOW) == [False, True]
 
 
-def test_coat__mirrors_a_ninth_of_the_zenith_at_most() -> None:
+def test_leaning_coat__mirrors_an_eighth_of_the_zenith_at_most() -> None:
     # At 40 degrees; with more the direction would be that of the horizon
     body = 0.01 * RED
     line = pixels_flagged([body + sky * CLEAR.diffuse for sky in (0.11, 0.3)], [body])
