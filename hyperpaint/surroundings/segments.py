@@ -448,7 +448,7 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     amount = np.pad(amount[possible], ((0, 0), (0, 1)))
     for rank in range(senders.shape[1]):
         sender = senders[segment, rank]
-        rows = np.flatnonzero((sender >= 0) & (sender != body))
+        rows = np.flatnonzero((sender >= 0) & (sender != body) & (sender != segment))
         for part in in_parts(rows.size):
             pairs = rows[part]
             sender_amount, sender_misfit = solve(

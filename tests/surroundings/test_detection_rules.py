@@ -871,6 +871,15 @@ def test_mixture__may_be_a_shadow(light: Any, is_possible: bool) -> None:
     assert found.segment.size == is_possible
 
 
+def test_no_segment_lights_itself() -> None:
+    # on a body without colour its own light would be any share of the diffuse light
+    shadow, itself = lit(GROUND, sky=0.6), np.array([[-1], [1]])
+    one = np.array([1])
+    alone = mixtures_of(one, one - 1, np.stack([GROUND, shadow]), np.full((2, 0), -1), CLEAR)
+    found = mixtures_of(one, one - 1, np.stack([GROUND, shadow]), itself, CLEAR)
+    np.testing.assert_array_equal(found, alone)
+
+
 def sent_to(number: Any, senders: list[Floats]) -> Any:
     # Segments that may send light to the first one
     spectra = np.stack([GROUND, *senders])
