@@ -383,8 +383,8 @@ def warn_if(is_present: Any, found: str, code: str) -> None:
         warn_user(found, code)
 
 
-class Problems:
-    """Collector of all problems of one input, to raise them together.
+class Problems(contextlib.AbstractContextManager["Problems"]):
+    """Collector of all problems of one input, to raise them together: at the end of a ``with`` block, if any.
 
     Parameters
     ----------
@@ -403,12 +403,22 @@ class Problems:
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: array 'radiance' cannot be used as it is:
       units 'W m-2', expected something like 'W m-2 sr-1 nm-1'
+    >>> with Problems("the map", SchemaError) as problems:
+    ...     problems.add_if(True, "no crs")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.SchemaError: the map:
+      no crs
     """
 
     def __init__(self, subject: str, error: type[PaintError]) -> None:
         self._subject = subject
         self._error = error
         self._problems: list[Problem] = []
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        # another error that leaves the block takes precedence
+        if kind is None:
+            self.raise_if_any()
 
     def add(
         self, found: str, *, expected: str = "", mend: str = "", option: str = "", code: str = ""

@@ -522,31 +522,31 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
         mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
         code="registry-scalars",
     )
-    problems = Problems("a Quantity view cannot be made", UnitsError)
-    unit_of = {}
-    dataset = plain(dataset)
-    for name, array in dataset.data_vars.items():
-        if "units" not in array.attrs or array.dtype.kind not in "fiu":
-            continue
-        text = array.attrs["units"]
-        try:
-            full_names = f"{registry().Unit(_spell_for_pint(canonical(text))):C}"
-        except Exception:  # pint leaks its own classes
-            problems.add(
-                f"{str(name)!r} has units {text!r}",
-                expected="CF spelling without a scale",
-                code="units-unreadable",
-            )
-            continue
-        try:
-            unit_of[name] = units.Unit(full_names)
-        except Exception as error:
-            problems.add(
-                f"{str(name)!r} has units {text!r}; {error!s:.100}",
-                mend="define it, as by registry.define('electron = [electron_count]'), or drop the variable",
-                code="units-unknown",
-            )
-    problems.raise_if_any()
+    with Problems("a Quantity view cannot be made", UnitsError) as problems:
+        unit_of = {}
+        dataset = plain(dataset)
+        for name, array in dataset.data_vars.items():
+            if "units" not in array.attrs or array.dtype.kind not in "fiu":
+                continue
+            text = array.attrs["units"]
+            try:
+                full_names = f"{registry().Unit(_spell_for_pint(canonical(text))):C}"
+            except Exception:  # pint leaks its own classes
+                problems.add(
+                    f"{str(name)!r} has units {text!r}",
+                    expected="CF spelling without a scale",
+                    code="units-unreadable",
+                )
+                continue
+            try:
+                unit_of[name] = units.Unit(full_names)
+            except Exception as error:
+                problems.add(
+                    f"{str(name)!r} has units {text!r}; {error!s:.100}",
+                    mend="define it, as by registry.define('electron = [electron_count]'), or drop the "
+                    "variable",
+                    code="units-unknown",
+                )
     # coordinates stay plain: xarray cannot select by an index of Quantities
     variables = dataset[list(unit_of)].drop_vars(dataset.coords, errors="ignore")
     return dataset.assign(variables.pint.quantify(unit_of, unit_registry=units).data_vars)
