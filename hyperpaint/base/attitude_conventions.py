@@ -18,6 +18,13 @@ from .errors import Problems, SchemaError
 from .facts import check_fields, declared, fact, is_number
 from .schema import ArrayLike, Floats
 
+#: Coordinate of a navigation record: UTC of its poses.
+NAVIGATION_TIME = "navigation_time"
+
+#: Variables of a line or a navigation record that rotate its camera.
+ANGLES = ("roll", "pitch", "heading")
+
+
 _PREFIX = "convention_"
 
 
@@ -100,9 +107,8 @@ class Convention:
     )
 
     def __post_init__(self) -> None:
-        problems = Problems("this convention cannot be used", SchemaError)
-        check_fields(self, problems)
-        problems.raise_if_any()
+        with Problems("this convention cannot be used", SchemaError) as problems:
+            check_fields(self, problems)
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""

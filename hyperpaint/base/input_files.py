@@ -3,10 +3,12 @@
 A pipe may block for ever, a device has no end, a socket cannot be read, and a URL may reach another machine.
 """
 
+import json
 import os
 import stat
 from io import BufferedReader
 from pathlib import Path
+from typing import Any
 
 from .errors import FormatError, PaintError
 from .remote_files import as_path, discover, fetch, mirrored, open_data, origin_of, url_of
@@ -167,3 +169,13 @@ def head_of(path: str | os.PathLike[str], count: int) -> bytes:
             return file.read(count)
     except (FormatError, OSError):
         return b""
+
+
+def json_of(value: Any) -> str:
+    # Return a value as JSON of one line; ValueError for NaN and infinity, which JSON does not have.
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def refuse_constant(text: str) -> None:
+    # Refuse NaN and infinity; ``parse_constant`` of `json.loads`.
+    raise ValueError(f"{text} is not JSON")

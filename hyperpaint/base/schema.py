@@ -146,7 +146,7 @@ class Variable:
         )
 
 
-_ELEMENT = (BAND, CROSS_TRACK)
+ELEMENT = (BAND, CROSS_TRACK)
 _LINE = (ALONG_TRACK,)
 _GAIN = "W m-2 sr-1 nm-1 s count-1"
 _RADIANCE = "W m-2 sr-1 nm-1"
@@ -172,19 +172,19 @@ _LINE_TABLE = (
     Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
     Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float32", "Reflectance factor, means of blocks of pixels"),
     # --- calibration of every detector element
-    Variable("dark_counts", _ELEMENT, "count", "float32", "Counts with the lens capped", alternatives=(("dark_time", BAND, CROSS_TRACK),)),
+    Variable("dark_counts", ELEMENT, "count", "float32", "Counts with the lens capped", alternatives=(("dark_time", BAND, CROSS_TRACK),)),
     Variable("dark_time", ("dark_time",), "", "datetime64[ns]", "UTC of each dark reference", coordinate=True),
     Variable("dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference", alternatives=(("dark_time",),)),
-    Variable("radiance_gain", _ELEMENT, _GAIN, "float32", "Spectral radiance per count rate"),
-    Variable("reflectance_gain", _ELEMENT, "s count-1", "float32", "Reflectance factor per count rate, from a white reference"),
-    Variable("reflectance_gain_u_random", _ELEMENT, "1", "float32", "Relative standard uncertainty of reflectance_gain by noise of white and dark"),
+    Variable("radiance_gain", ELEMENT, _GAIN, "float32", "Spectral radiance per count rate"),
+    Variable("reflectance_gain", ELEMENT, "s count-1", "float32", "Reflectance factor per count rate, from a white reference"),
+    Variable("reflectance_gain_u_random", ELEMENT, "1", "float32", "Relative standard uncertainty of reflectance_gain by noise of white and dark"),
     Variable("reflectance_gain_u_systematic", (), "1", "float32", "Relative standard uncertainty of reflectance_gain by the reflectance of the white tile, common to all elements", alternatives=((BAND,),)),
     Variable("white_level", ("white_time", BAND), "1", "float64", "Light on each white reference over the light that reflectance_gain is valid for"),
     Variable("white_time", ("white_time",), "", "datetime64[ns]", "UTC of each white reference", coordinate=True),
     Variable("exposure_time", (), "s", "float64", "Exposure time", alternatives=(_LINE,)),
-    Variable("saturation_count", (), "count", "float32", "Count at which the converter is full", alternatives=(_ELEMENT,)),
-    Variable("electrons_per_count", (), "electron count-1", "float32", "Electrons per count", alternatives=(_ELEMENT,)),
-    Variable("read_noise", (), "count", "float32", "Spread of a dark count before rounding (1 sigma)", alternatives=(_ELEMENT,)),
+    Variable("saturation_count", (), "count", "float32", "Count at which the converter is full", alternatives=(ELEMENT,)),
+    Variable("electrons_per_count", (), "electron count-1", "float32", "Electrons per count", alternatives=(ELEMENT,)),
+    Variable("read_noise", (), "count", "float32", "Spread of a dark count before rounding (1 sigma)", alternatives=(ELEMENT,)),
     # --- light
     Variable(
         "irradiance", (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), _IRRADIANCE, "float32",
@@ -222,7 +222,7 @@ _LINE_TABLE = (
     Variable("fwhm", (BAND,), "nm", "float64", "Full width at half maximum of the line shape", coordinate=True),
     Variable("band_spacing", (BAND,), "nm", "float64", "Distance between neighbouring bands of the camera, before bands were selected", coordinate=True),
     Variable("good", (BAND,), "", "bool", "Whether a band may be used", coordinate=True),
-    Variable("wavelength_shift", (CROSS_TRACK,), "nm", "float64", "Wavelength of an element minus that of its band at the centre column (smile)", alternatives=(_ELEMENT,), coordinate=True),
+    Variable("wavelength_shift", (CROSS_TRACK,), "nm", "float64", "Wavelength of an element minus that of its band at the centre column (smile)", alternatives=(ELEMENT,), coordinate=True),
     Variable("latitude", _LINE, "degree", "float64", "Latitude of the camera, north positive", standard_name="latitude", coordinate=True),
     Variable("longitude", _LINE, "degree", "float64", "Longitude of the camera, east positive", standard_name="longitude", coordinate=True),
     Variable("altitude", _LINE, "m", "float64", "Altitude of the camera", coordinate=True),
@@ -237,18 +237,18 @@ _LINE_TABLE = (
     Variable("view_zenith", _PIXEL, "degree", "float64", "Angle between the vertical and the direction to the camera", standard_name="sensor_zenith_angle", coordinate=True),
     Variable("view_azimuth", _PIXEL, "degree", "float64", "Direction from the observed point to the camera, clockwise from north", standard_name="sensor_azimuth_angle", coordinate=True),
     # --- lab calibration
-    Variable("dark_bias", _ELEMENT, "count", "float32", "Dark counts at no exposure"),
-    Variable("dark_rate", _ELEMENT, "count s-1", "float32", "Dark counts per exposure time"),
-    Variable("dark_counts_u_random", _ELEMENT, "count", "float32", "Standard uncertainty of dark_counts, independent from element to element", alternatives=((),)),
-    Variable("dark_counts_u_systematic", _ELEMENT, "count", "float32", "Standard uncertainty of dark_counts, common to all elements", alternatives=((), (BAND,))),
-    Variable("flat_field", _ELEMENT, "1", "float32", "Factor on dark-subtracted counts that levels the columns"),
-    Variable("radiance_gain_u_random", _ELEMENT, "1", "float32", "Relative standard uncertainty of radiance_gain by noise and by differences between elements", alternatives=((BAND,), ())),
-    Variable("radiance_gain_u_systematic", _ELEMENT, "1", "float32", "Relative standard uncertainty of radiance_gain, common to all elements", alternatives=((BAND,), ())),
+    Variable("dark_bias", ELEMENT, "count", "float32", "Dark counts at no exposure"),
+    Variable("dark_rate", ELEMENT, "count s-1", "float32", "Dark counts per exposure time"),
+    Variable("dark_counts_u_random", ELEMENT, "count", "float32", "Standard uncertainty of dark_counts, independent from element to element", alternatives=((),)),
+    Variable("dark_counts_u_systematic", ELEMENT, "count", "float32", "Standard uncertainty of dark_counts, common to all elements", alternatives=((), (BAND,))),
+    Variable("flat_field", ELEMENT, "1", "float32", "Factor on dark-subtracted counts that levels the columns"),
+    Variable("radiance_gain_u_random", ELEMENT, "1", "float32", "Relative standard uncertainty of radiance_gain by noise and by differences between elements", alternatives=((BAND,), ())),
+    Variable("radiance_gain_u_systematic", ELEMENT, "1", "float32", "Relative standard uncertainty of radiance_gain, common to all elements", alternatives=((BAND,), ())),
     Variable("wavelength_u", (), "nm", "float64", "Standard uncertainty of wavelength", alternatives=((BAND,),)),
     Variable("irradiance_u_systematic", (), "1", "float32", "Relative standard uncertainty of irradiance, common to all times", alternatives=((IRRADIANCE_WAVELENGTH,),)),
     Variable("irradiance_u_random", (), "1", "float32", "Relative standard uncertainty of one irradiance sample by noise, independent from time to time and channel to channel", alternatives=((IRRADIANCE_WAVELENGTH,),)),
-    Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
-    Variable("quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue", alternatives=(_ELEMENT,)),
+    Variable("responsivity", ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
+    Variable("quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue", alternatives=(ELEMENT,)),
     Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a source band that scatters into another band"),
     Variable("stray_light_across", (CROSS_TRACK, "source_column"), "1", "float64", "Share of the light of a source column that scatters into another column"),
     # --- lamp lines that a calibration was computed from
@@ -317,11 +317,11 @@ _LINE_TABLE = (
     Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
     Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
     # --- effects of the detector on counts
-    Variable("masked", (CROSS_TRACK,), "", "bool", "Whether an element receives no light, so that its dark-subtracted counts are the pedestal of a line", alternatives=(_ELEMENT, (BAND,))),
+    Variable("masked", (CROSS_TRACK,), "", "bool", "Whether an element receives no light, so that its dark-subtracted counts are the pedestal of a line", alternatives=(ELEMENT, (BAND,))),
     Variable("linearity_counts", ("linearity_counts",), "count", "float64", "Counts, raw or dark-subtracted, at which linear_counts was measured", coordinate=True),
     Variable("linear_counts", ("linearity_counts",), "count", "float64", "Counts proportional to light, equal to measured counts at low light"),
     Variable("linearity_basis", ("linearity_term", "linearity_counts"), "1", "float64", "Functions of counts by which the linear counts of elements differ, relative to the counts"),
-    Variable("linearity_map", ("linearity_term", *_ELEMENT), "1", "float32", "Coefficients of linearity_basis of an element"),
+    Variable("linearity_map", ("linearity_term", *ELEMENT), "1", "float32", "Coefficients of linearity_basis of an element"),
     Variable("stray_light_u", (), "1", "float32", "Relative standard uncertainty of the light that is subtracted as stray light and smear"),
     Variable("band_shift_time", (), "s", "float64", "Time in which a frame is shifted by one band under the light; attribute bands: number of bands"),
     Variable("linearity_u", (), "1", "float32", "Relative standard uncertainty that linearity leaves in linear counts"),
@@ -331,7 +331,7 @@ _LINE_TABLE = (
 _SWEEP_TABLE = (
     Variable("counts", _SWEEP, "count", "float32", "Counts, mean of the frames of a step, dark not subtracted"),
     Variable("counts_variance", _SWEEP, "count2", "float32", "Variance of one frame over the frames of a step"),
-    Variable("dark_counts", _ELEMENT, "count", "float32", "Counts without light", alternatives=(_SWEEP,)),
+    Variable("dark_counts", ELEMENT, "count", "float32", "Counts without light", alternatives=(_SWEEP,)),
     Variable("dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference", alternatives=((STEP,),)),
     Variable("frame_count", (), "1", "int64", "Frames averaged in a step", alternatives=((STEP,),)),
     Variable("dark_frame_count", (), "1", "int64", "Frames averaged in a dark reference", alternatives=((STEP,),)),
