@@ -798,8 +798,11 @@ class Fact:
         # Return the declaration of the key: range and default in the unit of the file.
         if self.scale is None or self.scale == 1.0:
             return self
-        ends = {name: getattr(self, name) for name in ("least", "most", "default")}
-        ends = {name: float(f"{end / self.scale:.12g}") for name, end in ends.items() if end is not None}
+        ends: dict[str, Any] = {
+            name: float(f"{end / self.scale:.12g}")
+            for name in ("least", "most", "default")
+            if (end := getattr(self, name)) is not None
+        }
         return dataclasses.replace(self, **ends)
 
     def argument(self, value: Any) -> Any:
@@ -1027,10 +1030,6 @@ PARAMETERS = {
 }
 
 
-def _indented(text: str) -> str:
-    return textwrap.fill(text, 106, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
-
-
 def documented(**descriptions: str) -> Callable[[_Function], _Function]:
     """Return a decorator that fills in parameters of a numpydoc docstring that have no description.
 
@@ -1054,6 +1053,10 @@ def documented(**descriptions: str) -> Callable[[_Function], _Function]:
     """
     texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in descriptions.items()}
 
+    filler = textwrap.TextWrapper(
+        106, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
+    )
+
     def decorated(function: _Function) -> _Function:
         before, heading, after = inspect.cleandoc(function.__doc__ or "").partition(
             "\nParameters\n----------\n"
@@ -1064,7 +1067,7 @@ def documented(**descriptions: str) -> Callable[[_Function], _Function]:
             # the line after an entry without description is not indented
             filled = re.sub(
                 r"^(\S.*)$(?!\n )",
-                lambda entry: f"{entry[1]}\n{_indented(texts[entry[1].lstrip('*')])}",
+                lambda entry: f"{entry[1]}\n{filler.fill(texts[entry[1].lstrip('*')])}",
                 section,
                 flags=re.MULTILINE,
             )

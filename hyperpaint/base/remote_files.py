@@ -53,9 +53,7 @@ def url_of(path: str | os.PathLike[str]) -> str | None:
     """
     text = os.fsdecode(path)
     match = _URL.match(text)
-    if match is None or "\0" in text or _FILE.match(text):
-        return None
-    if "://" not in text and os.path.lexists(text):
+    if match is None or "\0" in text or _FILE.match(text) or ("://" not in text and os.path.lexists(text)):
         return None
     return f"{match[1]}://{text[match.end() :]}"
 
@@ -275,8 +273,11 @@ def _list(folder: str) -> None:
 
 def _content_state(state: Mapping[str, Any]) -> str:
     # What servers tell that changes with the content of a file.
-    names = ("size", "ETag", "LastModified", "Last-Modified", "mtime", "created")
-    return "\n".join(str(state[name]) for name in names if state.get(name) is not None)
+    return "\n".join(
+        str(state[name])
+        for name in ("size", "ETag", "LastModified", "Last-Modified", "mtime", "created")
+        if state.get(name) is not None
+    )
 
 
 def _add_placeholder(place: str, url: str, state: Mapping[str, Any]) -> None:
@@ -285,11 +286,10 @@ def _add_placeholder(place: str, url: str, state: Mapping[str, Any]) -> None:
     if not content and place in _STATES and place not in _PLACEHOLDERS:
         fs, key = file_system(url)
         content = _content_state(fs.info(key))
-    if place in _STATES and _STATES[place] == content:
-        return
-    os.makedirs(os.path.dirname(place), exist_ok=True)
-    Path(place).write_text(f"{url} is not copied\n", encoding="utf-8")
-    _PLACEHOLDERS[place], _STATES[place] = url, content
+    if place not in _STATES or _STATES[place] != content:
+        os.makedirs(os.path.dirname(place), exist_ok=True)
+        Path(place).write_text(f"{url} is not copied\n", encoding="utf-8")
+        _PLACEHOLDERS[place], _STATES[place] = url, content
 
 
 def forget(path: str | os.PathLike[str]) -> None:
@@ -355,8 +355,7 @@ def byte_size(path: Path) -> int:
         fs, key = file_system(url)
         with _errors_of(url):
             return sum(int(row["size"] or 0) for row in fs.find(key, detail=True).values())
-    files = [path, *path.rglob("*")]
-    return sum(file.stat().st_size for file in files if file.is_file())
+    return sum(file.stat().st_size for file in [path, *path.rglob("*")] if file.is_file())
 
 
 @contextlib.contextmanager
