@@ -55,10 +55,12 @@ from hyperpaint.base import (
     input_path,
     is_number,
     is_plain_file,
+    json_of,
     numbers_of,
     one_of,
     open_input,
     read_limited,
+    refuse_constant,
     schema,
 )
 from hyperpaint.geometry.georeference.locating import POSE, between_maps, crs_of, locate
@@ -127,28 +129,27 @@ class Region:
     properties: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        problems = Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError)
-        for label in ("name", "flightline"):
-            value = getattr(self, label)
-            subject = f"{label} {str(value)[:80]!r}"
-            if not isinstance(value, str):
-                problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
-            elif not value and label == "name":
-                problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
-            elif len(value) > LIMITS.max_name_chars:
-                problems.add(
-                    f"{subject} has {len(value)} characters",
-                    expected=f"at most {LIMITS.max_name_chars}",
-                    code="name-too-long",
-                )
-            elif not value.isprintable() or value.strip() != value:
-                problems.add(
-                    f"{subject} has blanks at an end, or characters that cannot be printed",
-                    code="name-unprintable",
-                )
-        rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
-        properties = _plain(self.properties, problems)
-        problems.raise_if_any()
+        with Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError) as problems:
+            for label in ("name", "flightline"):
+                value = getattr(self, label)
+                subject = f"{label} {str(value)[:80]!r}"
+                if not isinstance(value, str):
+                    problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
+                elif not value and label == "name":
+                    problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
+                elif len(value) > LIMITS.max_name_chars:
+                    problems.add(
+                        f"{subject} has {len(value)} characters",
+                        expected=f"at most {LIMITS.max_name_chars}",
+                        code="name-too-long",
+                    )
+                elif not value.isprintable() or value.strip() != value:
+                    problems.add(
+                        f"{subject} has blanks at an end, or characters that cannot be printed",
+                        code="name-unprintable",
+                    )
+            rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
+            properties = _plain(self.properties, problems)
         object.__setattr__(self, "polygon", rings[0])
         object.__setattr__(self, "holes", tuple(rings[1:]))
         object.__setattr__(self, "properties", properties)
@@ -217,30 +218,31 @@ class Regions(Sequence[Region]):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "regions", tuple(self.regions))
-        problems = Problems("these regions cannot be used together", SchemaError)
-        names: set[str] = set()
-        for name in (region.name for region in self.regions):
-            problems.add_if(
-                name in names,
-                f"the name {name!r} occurs twice",
-                mend="give each region its own name",
-                code="region-name-duplicate",
-            )
-            names.add(name)
-        one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
-        crs: object = self.crs
-        if crs is not None and not isinstance(crs, str):
-            problems.add(
-                f"the crs is {type(crs).__name__}", expected="text such as 'EPSG:32618'", code="type-wrong"
-            )
-        elif crs is not None and self.coordinates == "sensor":
-            problems.add(
-                f"sensor coordinates have the crs {crs[:80]!r}",
-                expected="none",
-                mend='pass coordinates="map" or no crs',
-                code="option-conflict",
-            )
-        problems.raise_if_any()
+        with Problems("these regions cannot be used together", SchemaError) as problems:
+            names: set[str] = set()
+            for name in (region.name for region in self.regions):
+                problems.add_if(
+                    name in names,
+                    f"the name {name!r} occurs twice",
+                    mend="give each region its own name",
+                    code="region-name-duplicate",
+                )
+                names.add(name)
+            one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
+            crs: object = self.crs
+            if crs is not None and not isinstance(crs, str):
+                problems.add(
+                    f"the crs is {type(crs).__name__}",
+                    expected="text such as 'EPSG:32618'",
+                    code="type-wrong",
+                )
+            elif crs is not None and self.coordinates == "sensor":
+                problems.add(
+                    f"sensor coordinates have the crs {crs[:80]!r}",
+                    expected="none",
+                    mend='pass coordinates="map" or no crs',
+                    code="option-conflict",
+                )
 
     def __repr__(self) -> str:
         system = self.crs or self.coordinates
@@ -441,7 +443,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
         code="file-too-large",
     )
     try:
-        document = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_object, parse_constant=_no_constant)
+        document = json.loads(
+            raw.decode("utf-8-sig"), object_pairs_hook=_object, parse_constant=refuse_constant
+        )
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
@@ -489,8 +493,8 @@ def write_regions(
     file = as_path(path)
     document = regions_from(regions).__geo_interface__
     features = document.pop("features")
-    head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
-    lines = [",\n".join(map(_json, features))] if features else []
+    head = [f"{json_of(key)}: {json_of(value)}," for key, value in document.items()]
+    lines = [",\n".join(map(json_of, features))] if features else []
     content = "\n".join(["{", *head, '"features": [', *lines, "]", "}", ""]).encode()
     is_same = is_plain_file(file) and head_of(file, len(content) + 1) == content
     publish_file(file, content, overwrite=overwrite or is_same)
@@ -546,19 +550,11 @@ def regions_from(source: Any) -> Regions:
     )
 
 
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
-
-
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         raise ValueError("a member occurs twice in the same object")
     return mapping
-
-
-def _no_constant(text: str) -> None:
-    raise ValueError(f"{text} is not a JSON number")
 
 
 # --- content of a document ---------------------------------------------------------------------------------
@@ -816,7 +812,7 @@ _BLOCK_PIXELS = 2**20
 #: Pairs of variables that hold x and y of the pixels on the ground.
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
-_GEOGRAPHIC_CRS = "EPSG:4326"
+GEOGRAPHIC_CRS = "EPSG:4326"
 #: Variables of a map: column and line of the pixel that a cell shows; -1 in empty cells.
 _SOURCE_PIXEL = ("nearest_sample", "nearest_line")
 #: Variable of a map of several flight lines: the flight line that a cell shows.
@@ -904,12 +900,16 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
     mask = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
     for number, positions in enumerate(region_pixels):
         mask[positions] = number
-    attrs = {
-        "long_name": "Region that a pixel lies in",
-        "flag_values": np.arange(-1, len(region_list), dtype=np.int16),
-        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in region_list.names)]),
-    }
-    return xr.DataArray(mask, dims=tuple(dims), name="region", attrs=attrs)
+    return xr.DataArray(
+        mask,
+        dims=tuple(dims),
+        name="region",
+        attrs={
+            "long_name": "Region that a pixel lies in",
+            "flag_values": np.arange(-1, len(region_list), dtype=np.int16),
+            "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in region_list.names)]),
+        },
+    )
 
 
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
@@ -954,20 +954,19 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
         if not names:
             return _by_coordinates(regions, *coordinates, shape)
         # number of the flight line of every region
-        problems = Problems(
+        with Problems(
             "pixels of regions cannot be found in this map of several flight lines", SchemaError
-        )
-        lines = [region.flightline.replace(" ", "_") for region in regions]
-        for region, name in zip(regions, lines, strict=True):
-            if name not in names:
-                source = f"is of flight line {region.flightline!r}" if name else "names no flight line"
-                problems.add(
-                    f"region {region.name!r} in sensor coordinates {source}",
-                    expected=f"one of {', '.join(names)}",
-                    mend="give it the property flightline, or draw it in map coordinates",
-                    code="flightline-unknown",
-                )
-        problems.raise_if_any()
+        ) as problems:
+            lines = [region.flightline.replace(" ", "_") for region in regions]
+            for region, name in zip(regions, lines, strict=True):
+                if name not in names:
+                    source = f"is of flight line {region.flightline!r}" if name else "names no flight line"
+                    problems.add(
+                        f"region {region.name!r} in sensor coordinates {source}",
+                        expected=f"one of {', '.join(names)}",
+                        mend="give it the property flightline, or draw it in map coordinates",
+                        code="flightline-unknown",
+                    )
         return _by_coordinates(
             regions, *coordinates, shape, (line[_SOURCE_LINE], [names[name] for name in lines])
         )
@@ -1151,7 +1150,7 @@ def _has_pair(line: xr.Dataset, pair: tuple[str, str]) -> bool:
 
 def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
     if pair[0] in _GEOGRAPHIC:
-        return _GEOGRAPHIC_CRS
+        return GEOGRAPHIC_CRS
     stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if stated is None and "spatial_ref" in line.variables:
         # rioxarray stores the crs of a GeoTIFF there
@@ -1168,8 +1167,8 @@ def _canonical(crs: str) -> str:
     if text.lower().startswith("urn:ogc:def:crs:"):
         fields = text.split(":")
         text = f"{fields[4]}:{fields[-1]}"
-    if text.upper() in ("OGC:CRS84", _GEOGRAPHIC_CRS, "WGS84"):
-        return _GEOGRAPHIC_CRS
+    if text.upper() in ("OGC:CRS84", GEOGRAPHIC_CRS, "WGS84"):
+        return GEOGRAPHIC_CRS
     return text if "[" in text else text.upper()  # names within WKT are case-sensitive
 
 
