@@ -43,6 +43,7 @@ from hyperpaint.base import (
     Bools,
     Floats,
     FormatError,
+    Indices,
     Ints,
     MissingExtraError,
     PaintError,
@@ -434,7 +435,38 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     if file.suffix.lower() in VECTOR_FILES:
         local = input_path(file)
         fetch(local.parent.glob(f"{local.stem}.*"))  # a shapefile has companions
-        return _collection(features_of(local, MAX_REGIONS), str(file))
+        # the polygons of a vector file as a FeatureCollection in coordinates of a map; one feature more than
+        # allowed is read, so that `_collection` can tell that there are too many
+        magic = VECTOR_FILES[local.suffix.lower()]
+        with open_input(local, "regions", MAX_VECTOR_FILE_BYTES) as opened:
+            FormatError.raise_if(
+                opened.read(len(magic)) != magic,
+                f"{local}: not a {local.suffix[1:]} file",
+                mend="check what the file is",
+                code="file-kind-wrong",
+            )
+        readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
+        library = next((name for name in readers if importlib.util.find_spec(name)), None)
+        if library is None:
+            raise MissingExtraError(
+                f"{local.suffix} files need pyogrio or fiona",
+                mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
+                code="dependency-missing",
+            )
+        try:
+            crs, features = readers[library](local, MAX_REGIONS)
+        except (FormatError, MissingExtraError):
+            raise
+        except Exception as error:  # every driver of both libraries has its own errors
+            raise FormatError(
+                f"{local}: {library} cannot read it: {error!s:.200}", code="file-unreadable"
+            ) from error
+        FormatError.raise_if(
+            not crs, f"{local}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
+        )
+        return _collection(
+            {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}, str(file)
+        )
     raw = read_limited(file, MAX_FILE_BYTES, "GeoJSON")
     FormatError.raise_if(
         raw.count(b"[") + raw.count(b"{") > LIMITS.max_containers or raw.count(b",") > LIMITS.max_separators,
@@ -687,43 +719,6 @@ def _region(feature: Any) -> Region:
 MAX_VECTOR_FILE_BYTES = 256 * 2**20
 
 
-def features_of(path: Path, max_features: int) -> dict[str, Any]:
-    # Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
-    #
-    # At most ``max_features`` + 1 features are read, so that the caller can tell that there are too many.
-    #
-    # Raises `FormatError`: the file is damaged, of another format, without a crs, or has several layers of
-    # polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
-    magic = VECTOR_FILES[path.suffix.lower()]
-    with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
-        FormatError.raise_if(
-            file.read(len(magic)) != magic,
-            f"{path}: not a {path.suffix[1:]} file",
-            mend="check what the file is",
-            code="file-kind-wrong",
-        )
-    readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
-    library = next((name for name in readers if importlib.util.find_spec(name)), None)
-    if library is None:
-        raise MissingExtraError(
-            f"{path.suffix} files need pyogrio or fiona",
-            mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
-            code="dependency-missing",
-        )
-    try:
-        crs, features = readers[library](path, max_features)
-    except (FormatError, MissingExtraError):
-        raise
-    except Exception as error:  # every driver of both libraries has its own errors
-        raise FormatError(
-            f"{path}: {library} cannot read it: {error!s:.200}", code="file-unreadable"
-        ) from error
-    FormatError.raise_if(
-        not crs, f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
-    )
-    return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
-
-
 def _by_pyogrio(path: Path, max_features: int) -> tuple[str | None, list[dict[str, Any]]]:
     import pyogrio
 
@@ -787,8 +782,6 @@ def _json_value(value: Any) -> Any:
         return None
     return value if value is None or isinstance(value, str | int | float | bool) else str(value)
 
-
-Index = npt.NDArray[np.intp]
 
 _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
@@ -1210,23 +1203,22 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
         # only points within the y range of a hole can lie in it
         run = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
-        if run.start >= run.stop:
-            continue
-        within, edge = _inside_ring(ring, near_x[run], near_y[run], first - run.start, last - run.start)
-        inside[run] &= ~within | edge if number else within | edge
+        if run.start < run.stop:
+            within, edge = _inside_ring(ring, near_x[run], near_y[run], first - run.start, last - run.start)
+            inside[run] &= ~within | edge if number else within | edge
     belongs: Bools = np.zeros(x.size, bool)
     belongs[near] = inside
     return belongs
 
 
-def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
+def _runs(ring: Floats, y: Floats) -> tuple[Indices, Indices]:
     # Start and stop (edge,) of the points whose y lies within an edge's y range; y ascends
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
     return first, np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
 
 
-def _inside_ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
+def _inside_ring(ring: Floats, x: Floats, y: Floats, first: Indices, last: Indices) -> tuple[Bools, Bools]:
     # Masks of the points that a ring winds around an odd number of times, and of those on the ring
     within, edge = np.zeros((2, x.size), bool)
     closed = np.concatenate([ring, ring[:1]])
@@ -1234,28 +1226,27 @@ def _inside_ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) 
     for k in np.flatnonzero(first < last):
         run = slice(first[k], last[k])
         start, stop = closed[k], closed[k + 1]
-        side = _side(start, stop, x[run], y[run])
+        xs, ys = x[run], y[run]
+        # 1 for points left of a directed edge, -1 right of it, 0 on its line
+        along_x, along_y = stop[0] - start[0], stop[1] - start[1]
+        off_x, off_y = xs - start[0], ys - start[1]
+        product_xy, product_yx = along_x * off_y, along_y * off_x
+        cross = product_xy - product_yx
+        side: npt.NDArray[np.int8] = np.sign(cross).astype(np.int8)
+        doubtful = (np.abs(cross) <= _ROUNDING * (np.abs(product_xy) + np.abs(product_yx)) + _TINIEST) & (
+            # products with a zero difference are exact
+            ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
+        )
+        # the sign in exact rational arithmetic
+        x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
+        for point in np.flatnonzero(doubtful).tolist():
+            exact = (x1 - x0) * (Fraction(float(ys[point])) - y0) - (y1 - y0) * (
+                Fraction(float(xs[point])) - x0
+            )
+            side[point] = (exact > 0) - (exact < 0)
         edge[run] |= (side == 0) & (x[run] >= low[k, 0]) & (x[run] <= high[k, 0])
         # a ray from the point in +x crosses rising edges left of them, falling edges right of them;
         # half-open y ranges count a corner once
         rises = (start[1] <= y[run]) & (y[run] < stop[1]) & (side > 0)
         within[run] ^= rises | (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
     return within, edge
-
-
-def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
-    # 1 for points left of a directed edge, -1 right of it, 0 on its line
-    along_x, along_y = stop[0] - start[0], stop[1] - start[1]
-    off_x, off_y = x - start[0], y - start[1]
-    product_xy, product_yx = along_x * off_y, along_y * off_x
-    cross = product_xy - product_yx
-    side: npt.NDArray[np.int8] = np.sign(cross).astype(np.int8)
-    doubtful = np.abs(cross) <= _ROUNDING * (np.abs(product_xy) + np.abs(product_yx)) + _TINIEST
-    # products with a zero difference are exact
-    doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
-    # the sign in exact rational arithmetic
-    x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
-    for k in np.flatnonzero(doubtful).tolist():
-        exact = (x1 - x0) * (Fraction(float(y[k])) - y0) - (y1 - y0) * (Fraction(float(x[k])) - x0)
-        side[k] = (exact > 0) - (exact < 0)
-    return side

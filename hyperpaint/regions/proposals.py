@@ -78,7 +78,13 @@ from hyperpaint.surroundings.model import SHADED
 from hyperpaint.surroundings.segments import padded
 from hyperpaint.surroundings.surveying import flag, is_vegetation, to_channels
 
-from .polygons import Region, Regions, ground_of, renumbered
+from .polygons import (
+    GEOGRAPHIC_CRS,
+    Region,
+    Regions,
+    ground_of,
+    renumbered,
+)
 
 #: Classes of segments by their spectra, and measures of a piece.
 SURFACES = SimpleNamespace(
@@ -1140,8 +1146,8 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -
         is_long = share > (ROOFS.max_bonnet if sided(run) > ROOFS.surely_sided else ROOFS.min_van_roof)
         is_whole = sided(run) > ROOFS.van_sided if len(windows) == 2 else is_long or car.cut
         is_whole = is_whole and unsure <= ROOFS.unsure * car.length
-        of_windows = np.logical_or.reduce([tracks.within(window) for window in windows])
-        of_windows &= glass & (np.abs(across) < ROOFS.middle)
+        in_windows = np.logical_or.reduce([tracks.within(window) for window in windows])
+        of_windows = in_windows & glass & (np.abs(across) < ROOFS.middle)
         best = Roof(
             inside,
             (float(line), float(column)),
@@ -1725,8 +1731,16 @@ class Car(NamedTuple):
 
     def unless_larger(self, max_size: float) -> Car:
         # Return the car, without a roof where it has more pixels than cars have.
-        reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
-        return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))
+        return (
+            self
+            if self.size <= max_size
+            else self._replace(
+                roof=NoRoof(
+                    "it is larger than other cars: several of one colour may touch; draw a region by hand",
+                    False,
+                )
+            )
+        )
 
 
 def find_cars(pieces: Iterable[Piece], picture: Picture, progress: Progress | None = None) -> list[Car]:
@@ -1892,8 +1906,11 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     if not lines.size:
         piece = None
     else:
-        origin = (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1])
-        piece = Piece(0, origin, inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1])
+        piece = Piece(
+            0,
+            (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1]),
+            inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1],
+        )
         segment = picture.model.segment[piece.window][piece.inside]
         body = picture.model.body[segment[segment >= 0]]
         piece = piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
@@ -2063,7 +2080,6 @@ def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tupl
 #: Flags that a signature of a proposed region excludes; brightness has already excluded glint and adjacency.
 _EXCLUDED_FLAGS = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
 
-_WGS84 = "EPSG:4326"
 _DIMS = (schema.ALONG_TRACK, schema.CROSS_TRACK)
 #: Variables of a flagged line that proposals use.
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
@@ -2095,13 +2111,13 @@ class Proposals(Regions):
 
     def table(self) -> str:
         """Return a line of text for every proposed and every refused region."""
-        rows = [
+        proposed = (
             f"{region.name}  at {region.properties['place']}  score {region.properties['score']:.2f}  "
             f"{'; '.join(region.properties['reasons'])}"
             for region in self.regions
-        ]
-        rows += [f"{region.name}  {'; '.join(region.properties['refused'])}" for region in self.refused]
-        return "\n".join(rows)
+        )
+        refused = (f"{region.name}  {'; '.join(region.properties['refused'])}" for region in self.refused)
+        return "\n".join([*proposed, *refused])
 
 
 @takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
@@ -2266,22 +2282,21 @@ def propose_regions(
         "angle": angle,
         "max_level_u": max_level_u,
     }
-    problems = Problems("regions cannot be proposed", SchemaError)
-    for key, value in limits.items():
-        problems.add_if(
-            not is_number(value) or value < 0,
-            f"{key}={value!r}",
-            expected="a number from 0 on",
-            code="value-out-of-range",
-        )
-    for key, count in (("min_pixels", min_pixels), ("most", most)):
-        problems.add_if(
-            count is not None and count < 1,
-            f"{key}={count!r}",
-            expected="1 or more",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems("regions cannot be proposed", SchemaError) as problems:
+        for key, value in limits.items():
+            problems.add_if(
+                not is_number(value) or value < 0,
+                f"{key}={value!r}",
+                expected="a number from 0 on",
+                code="value-out-of-range",
+            )
+        for key, count in (("min_pixels", min_pixels), ("most", most)):
+            problems.add_if(
+                count is not None and count < 1,
+                f"{key}={count!r}",
+                expected="1 or more",
+                code="value-out-of-range",
+            )
     limits["min_pixels"] = min_pixels
     unknown = sorted(set(options) - set(signature(survey).parameters))
     if unknown:
@@ -2365,11 +2380,13 @@ class _Places:
         # Longitude and latitude of pixels (n, 2) [degree]; empty without the geometry of the line
         with contextlib.suppress(PaintError):
             is_located = {"east", "north"} <= set(self.line.variables)
-            x, y, crs = ground_of(self.line if is_located else locate(self.line), _WGS84)
+            x, y, crs = ground_of(self.line if is_located else locate(self.line), GEOGRAPHIC_CRS)
             at = {dim: xr.DataArray(k, dims="place") for dim, k in zip(_DIMS, centres.T, strict=True)}
             ground = np.stack(dask.compute(x.isel(at).data, y.isel(at).data), axis=1)
             if crs is not None or x.name in ("longitude", "lon"):
-                positions: list[list[float]] = between_maps(ground, crs_of(crs or _WGS84), _WGS84).tolist()
+                positions: list[list[float]] = between_maps(
+                    ground, crs_of(crs or GEOGRAPHIC_CRS), GEOGRAPHIC_CRS
+                ).tolist()
                 return positions
         return []
 
@@ -2415,14 +2432,19 @@ def region_of(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str
         ),
         "lean": verdict.lean,
     }
-    properties = {
-        **ranking,
-        "kind": verdict.kind or "unknown",
-        "finish": verdict.finish,
-        "pixels": measures.pixels,
-        "excluded_flags": flag_names(_EXCLUDED_FLAGS),
-        **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
-        "level_terms": {cause: round(sd, 5) for cause, sd in verdict.level_terms.items() if sd},
-        "reasons": verdict.reasons,
-    }
-    return Region(name, ring, holes, flightline, properties)
+    return Region(
+        name,
+        ring,
+        holes,
+        flightline,
+        {
+            **ranking,
+            "kind": verdict.kind or "unknown",
+            "finish": verdict.finish,
+            "pixels": measures.pixels,
+            "excluded_flags": flag_names(_EXCLUDED_FLAGS),
+            **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
+            "level_terms": {cause: round(sd, 5) for cause, sd in verdict.level_terms.items() if sd},
+            "reasons": verdict.reasons,
+        },
+    )
