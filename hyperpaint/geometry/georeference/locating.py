@@ -22,17 +22,19 @@ from typing import Any, Literal, NamedTuple
 import dask
 import dask.array as da
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import (
     ALONG_TRACK,
+    ANGLES,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
+    NAVIGATION_TIME,
     WGS84_ECCENTRICITY_SQUARED,
     WGS84_SEMI_MAJOR_AXIS_M,
     Array,
+    ArrayLike,
     Bools,
     Convention,
     Floats,
@@ -41,6 +43,7 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
     TimeError,
+    Times,
     UnitsError,
     conversion_factor,
     convert,
@@ -158,7 +161,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     return f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
 
 
-def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any) -> Floats:
+def meridian_convergence(latitude: ArrayLike, longitude: ArrayLike, crs: Any) -> Floats:
     """Return the direction of grid north, clockwise from true north [degree].
 
     Parameters
@@ -252,8 +255,8 @@ def polynomials(
     # Direction of north and scale of a map change from place to place. Terms beyond the second degree are of
     # the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm at 2 km.
     coefficients = np.full((3, latitude.size, 10), np.nan)
-    is_valid = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
-    is_valid &= np.abs(latitude) < _MAX_LATITUDE_DEG
+    is_finite = [np.isfinite(part) for part in (latitude, longitude, altitude, reach)]
+    is_valid = np.all(is_finite, axis=0) & (np.abs(latitude) < _MAX_LATITUDE_DEG)
     if is_valid.any():
         lat, lon, alt, distance = (part[is_valid] for part in (latitude, longitude, altitude, reach))
         # map coordinates and heights of points around the cameras
@@ -298,10 +301,8 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
 
 Interpolation = Literal["linear", "cubic"]
 
-NAVIGATION_TIME = "navigation_time"
 #: Variables of a pose, in the order in which arrays (6, row) hold them.
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
-ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
@@ -418,41 +419,40 @@ def pose_columns(
     #
     # Raises `SchemaError`: Variables are missing, or units contradict the convention; all are listed. Raises
     # `UnitsError`: Units that cannot be read, or are of another dimension.
-    problems = Problems("the poses of the camera cannot be read", SchemaError)
-    columns: dict[str, xr.DataArray] = {}
-    for name in POSE:
-        if name not in dataset.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
-            continue
-        column = dataset[name].reset_coords(drop=True)
-        if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
-            dims = ", ".join(map(str, column.dims))
-            problems.add(
-                f"{name!r} has dims ({dims})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
-            )
-            continue
-        units = column.attrs.get("units")
-        if name not in ANGLES:
-            column = column if units is None else convert(column, "m" if name == "altitude" else "degree")
-        elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
-            problems.add(
-                f"{name!r} has units {units!r}, while the convention declares angle_unit "
-                f"{convention.angle_unit!r}",
-                mend="correct the one that is wrong",
-                code="units-conflict",
-            )
-        columns[name] = column
-    problems.raise_if_any()
+    with Problems("the poses of the camera cannot be read", SchemaError) as problems:
+        columns: dict[str, xr.DataArray] = {}
+        for name in POSE:
+            if name not in dataset.variables:
+                problems.add(f"{name!r} is missing", code="variable-missing")
+                continue
+            column = dataset[name].reset_coords(drop=True)
+            if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
+                dims = ", ".join(map(str, column.dims))
+                problems.add(
+                    f"{name!r} has dims ({dims})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
+                )
+                continue
+            units = column.attrs.get("units")
+            if name not in ANGLES:
+                column = column if units is None else convert(column, "m" if name == "altitude" else "degree")
+            elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
+                problems.add(
+                    f"{name!r} has units {units!r}, while the convention declares angle_unit "
+                    f"{convention.angle_unit!r}",
+                    mend="correct the one that is wrong",
+                    code="units-conflict",
+                )
+            columns[name] = column
     return columns
 
 
 def canonical_values(
-    latitude: npt.ArrayLike,
-    longitude: npt.ArrayLike,
-    altitude: npt.ArrayLike,
-    roll: npt.ArrayLike,
-    pitch: npt.ArrayLike,
-    heading: npt.ArrayLike,
+    latitude: ArrayLike,
+    longitude: ArrayLike,
+    altitude: ArrayLike,
+    roll: ArrayLike,
+    pitch: ArrayLike,
+    heading: ArrayLike,
     *,
     convention: Convention,
     crs: Any = None,
@@ -541,9 +541,9 @@ def interpolate_pose(
 
 
 def poses_at(
-    recorded: npt.NDArray[np.datetime64],
+    recorded: Times,
     values: Floats,
-    time: npt.NDArray[np.datetime64],
+    time: Times,
     *,
     clock_offset_s: float = 0.0,
     max_gap_s: float | None = None,
@@ -665,7 +665,7 @@ def _between(
 _MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is replaced by its chord
 
 
-def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
+def quaternions(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> Floats:
     # Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4).
     halves = [np.radians(np.asarray(angle, np.float64)) / 2 for angle in (roll, pitch, heading)]
     (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
@@ -758,43 +758,42 @@ class PinholeCamera:
     edges: Literal["centres", "outer"] | None = None
 
     def __post_init__(self) -> None:
-        problems = Problems("the description of this camera is not valid", SchemaError)
-        problems.add_if(
-            not (isinstance(self.columns, int | np.integer) and self.columns > 0),
-            f"columns {self.columns!r:.60}",
-            expected="a whole number above 0",
-            code="value-out-of-range",
-        )
-        lengths = (self.pixel_pitch, self.focal_length)
-        problems.add_if(
-            (self.field_of_view is None) == (None in lengths)
-            or (self.field_of_view is not None and lengths != (None, None)),
-            "pixel_pitch, focal_length and field_of_view do not describe one camera",
-            expected="either the two lengths, or field_of_view with edges",
-            code="option-conflict",
-        )
-        for name, limit, expected in (
-            ("pixel_pitch", np.inf, "a length above 0 [m]"),
-            ("focal_length", np.inf, "a length above 0 [m]"),
-            ("field_of_view", 2 * _MAX_LOOK_ANGLE_DEG, "0 to 178 [degree]"),
-        ):
-            value = getattr(self, name)
+        with Problems("the description of this camera is not valid", SchemaError) as problems:
             problems.add_if(
-                value is not None and not 0.0 < value < limit,
-                f"{name} {value!r:.60}",
-                expected=expected,
+                not (isinstance(self.columns, int | np.integer) and self.columns > 0),
+                f"columns {self.columns!r:.60}",
+                expected="a whole number above 0",
                 code="value-out-of-range",
             )
-        problems.add_if(
-            self.field_of_view is not None
-            and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
-            and self.edges == "centres"
-            and self.columns == 1,
-            "one column has no angle between centres",
-            mend="give edges='outer'",
-            code="option-conflict",
-        )
-        problems.raise_if_any()
+            lengths = (self.pixel_pitch, self.focal_length)
+            problems.add_if(
+                (self.field_of_view is None) == (None in lengths)
+                or (self.field_of_view is not None and lengths != (None, None)),
+                "pixel_pitch, focal_length and field_of_view do not describe one camera",
+                expected="either the two lengths, or field_of_view with edges",
+                code="option-conflict",
+            )
+            for name, limit, expected in (
+                ("pixel_pitch", np.inf, "a length above 0 [m]"),
+                ("focal_length", np.inf, "a length above 0 [m]"),
+                ("field_of_view", 2 * _MAX_LOOK_ANGLE_DEG, "0 to 178 [degree]"),
+            ):
+                value = getattr(self, name)
+                problems.add_if(
+                    value is not None and not 0.0 < value < limit,
+                    f"{name} {value!r:.60}",
+                    expected=expected,
+                    code="value-out-of-range",
+                )
+            problems.add_if(
+                self.field_of_view is not None
+                and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
+                and self.edges == "centres"
+                and self.columns == 1,
+                "one column has no angle between centres",
+                mend="give edges='outer'",
+                code="option-conflict",
+            )
 
     @property
     def spacing(self) -> float:
@@ -850,15 +849,14 @@ def look_angles(
             if "look_along" in source.variables
             else np.zeros(across.shape)
         )
-    problems = Problems("the directions of the columns cannot be used", SchemaError)
-    for name, angles in (("look_across", across), ("look_along", along)):
-        problems.add_if(
-            angles.shape != (line.sizes[CROSS_TRACK],),
-            f"{name} has shape {angles.shape}",
-            expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
-            code="length-mismatch",
-        )
-    problems.raise_if_any()
+    with Problems("the directions of the columns cannot be used", SchemaError) as problems:
+        for name, angles in (("look_across", across), ("look_along", along)):
+            problems.add_if(
+                angles.shape != (line.sizes[CROSS_TRACK],),
+                f"{name} has shape {angles.shape}",
+                expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
+                code="length-mismatch",
+            )
     return across, along
 
 
@@ -1053,37 +1051,38 @@ def locate(
     boresight = line.attrs.get("boresight", zero) if boresight is None else boresight
     lever_arm = line.attrs.get("lever_arm", zero) if lever_arm is None else lever_arm
     ground = line.attrs.get("ground") if ground is None and dem is None else ground
-    problems = Problems("this line cannot be located", SchemaError)
-    for dim in (ALONG_TRACK, CROSS_TRACK):
+    with Problems("this line cannot be located", SchemaError) as problems:
+        for dim in (ALONG_TRACK, CROSS_TRACK):
+            problems.add_if(
+                dim not in line.dims,
+                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
+                mend=f"isel({dim}=[5]) keeps it, dims= names it",
+                code="dim-missing",
+            )
+        for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
+            try:
+                is_valid = np.shape(vector) == (3,) and bool(
+                    np.isfinite(np.asarray(vector, np.float64)).all()
+                )
+            except (TypeError, ValueError):
+                is_valid = False
+            problems.add_if(
+                not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
+            )
         problems.add_if(
-            dim not in line.dims,
-            f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
-            mend=f"isel({dim}=[5]) keeps it, dims= names it",
-            code="dim-missing",
+            (ground is None) == (dem is None),
+            "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
+            mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+            code="argument-missing" if dem is None else "option-conflict",
         )
-    for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
-        try:
-            is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
-        except (TypeError, ValueError):
-            is_valid = False
-        problems.add_if(
-            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
-        )
-    problems.add_if(
-        (ground is None) == (dem is None),
-        "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
-        mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
-        code="argument-missing" if dem is None else "option-conflict",
-    )
-    for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
-        is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        problems.add_if(
-            number is not None and not is_number,
-            f"{name} {number!r:.80}",
-            expected="a finite number",
-            code="not-finite",
-        )
-    problems.raise_if_any()
+        for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
+            is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
+            problems.add_if(
+                number is not None and not is_number,
+                f"{name} {number!r:.80}",
+                expected="a finite number",
+                code="not-finite",
+            )
     check_interpolation(interpolation, max_gap_s)
     declared = convention_of_line(line, navigation, convention)
     across, along = look_angles(line, camera, declared)
@@ -1176,8 +1175,11 @@ def locate(
     quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
     if "quality" in line.variables:
         quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
-    located = located.drop_vars(coordinates, errors="ignore")
-    located = located.assign(quality=label(xr.DataArray(quality), "quality")).assign_coords(coordinates)
+    located = (
+        located.drop_vars(coordinates, errors="ignore")
+        .assign(quality=label(xr.DataArray(quality), "quality"))
+        .assign_coords(coordinates)
+    )
     height = "of the raster" if ground is None else f"{float(ground):g} m {origins['ground']}"
     angles, arm = (" ".join(map("{:g}".format, vector)) for vector in (boresight_angles, lever_arm_m))
     settings = {
