@@ -573,14 +573,58 @@ def poses_at(
     for part in (slice(0, 3), slice(3, 6)):
         is_recorded = np.isfinite(values[part]).all(axis=0)
         if is_recorded.any():
-            poses[part] = _between(
-                knot_ns[is_recorded],
-                values[part][:, is_recorded],
-                wanted_ns,
-                gap,
-                interpolation,
-                is_attitude=part.start == 3,
+            knots, samples = knot_ns[is_recorded], values[part][:, is_recorded]
+            is_attitude = part.start == 3
+            # positions, or roll, pitch and heading (3, line), from rows of them (3, row); NaN in gaps
+            before = np.clip(np.searchsorted(knots, wanted_ns, side="right") - 1, 0, max(knots.size - 2, 0))
+            after = np.minimum(before + 1, knots.size - 1)
+            is_inside = (wanted_ns >= knots[0]) & (wanted_ns <= knots[-1])
+            step = knots[after] - knots[before]
+            elapsed = np.where(is_inside, wanted_ns - knots[before], 0)
+            # a time equal to that of a row needs no interpolation, whatever the distance of the next row
+            is_covered = is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
+            samples = (
+                quaternions(*samples).T
+                if is_attitude
+                else np.stack([samples[0], np.unwrap(samples[1], period=360.0), samples[2]])
             )
+            if interpolation == "cubic" and knots.size > 1:
+                # cubic splines of positions (3, row) or quaternions (4, row), which end at every gap
+                from scipy.interpolate import CubicSpline
+                from scipy.spatial.transform import Rotation, RotationSpline
+
+                between = np.full((len(samples), wanted_ns.size), np.nan)
+                ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
+                for start, stop in itertools.pairwise(ends):
+                    is_here = is_covered & (wanted_ns >= knots[start]) & (wanted_ns <= knots[stop - 1])
+                    if not is_here.any():
+                        continue
+                    # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a
+                    # neighbour
+                    stretch = (
+                        slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
+                    )
+                    s, t = (
+                        (time - knots[start]) / _NS_PER_S for time in (knots[stretch], wanted_ns[is_here])
+                    )
+                    if len(samples) == 3:
+                        between[:, is_here] = CubicSpline(s, samples[:, stretch], axis=1)(t)
+                    else:
+                        rotations = RotationSpline(
+                            s, Rotation.from_quat(samples[:, stretch].T, scalar_first=True)
+                        )(t)
+                        between[:, is_here] = rotations.as_quat(scalar_first=True).T
+            else:
+                weight = elapsed / np.maximum(step, 1)
+                first, second = samples[:, before], samples[:, after]
+                between = (
+                    slerp(first.T, second.T, weight).T if is_attitude else first + weight * (second - first)
+                )
+            if is_attitude:
+                between = np.stack(angles_of(between.T))
+            else:
+                between[1] = wrapped(between[1])
+            poses[part] = np.where(is_covered, between, np.nan)
     # an incomplete pose becomes NaN in all six
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
     return poses
@@ -588,15 +632,14 @@ def poses_at(
 
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     # Refuse an unknown interpolation and a gap of 0 or less, as SchemaError.
-    problems = Problems("poses cannot be interpolated with these options", SchemaError)
-    one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
-    problems.add_if(
-        max_gap_s is not None and not max_gap_s > 0.0,
-        f"max_gap_s {max_gap_s!r:.60}",
-        expected="a time above 0 [s]",
-        code="value-out-of-range",
-    )
-    problems.raise_if_any()
+    with Problems("poses cannot be interpolated with these options", SchemaError) as problems:
+        one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
+        problems.add_if(
+            max_gap_s is not None and not max_gap_s > 0.0,
+            f"max_gap_s {max_gap_s!r:.60}",
+            expected="a time above 0 [s]",
+            code="value-out-of-range",
+        )
 
 
 def _nanoseconds(time: Array) -> Ints:
@@ -607,52 +650,6 @@ def _nanoseconds(time: Array) -> Ints:
         code="type-wrong",
     )
     return time.astype("datetime64[ns]").astype(np.int64)
-
-
-def _between(
-    knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str, *, is_attitude: bool
-) -> Floats:
-    # Return positions, or roll, pitch and heading (3, line), from rows of them (3, row); NaN in gaps.
-    before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
-    after = np.minimum(before + 1, knots.size - 1)
-    is_inside = (wanted >= knots[0]) & (wanted <= knots[-1])
-    step = knots[after] - knots[before]
-    elapsed = np.where(is_inside, wanted - knots[before], 0)
-    # a time equal to that of a row needs no interpolation, whatever the distance of the next row
-    is_covered = is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
-    values = (
-        quaternions(*values).T
-        if is_attitude
-        else np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
-    )
-    if interpolation == "cubic" and knots.size > 1:
-        # cubic splines of positions (3, row) or quaternions (4, row), which end at every gap
-        from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Rotation, RotationSpline
-
-        between = np.full((len(values), wanted.size), np.nan)
-        ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
-        for start, stop in itertools.pairwise(ends):
-            is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
-            if not is_here.any():
-                continue
-            # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a neighbour
-            rows = slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
-            s, t = ((time - knots[start]) / _NS_PER_S for time in (knots[rows], wanted[is_here]))
-            if len(values) == 3:
-                between[:, is_here] = CubicSpline(s, values[:, rows], axis=1)(t)
-            else:
-                rotations = RotationSpline(s, Rotation.from_quat(values[:, rows].T, scalar_first=True))(t)
-                between[:, is_here] = rotations.as_quat(scalar_first=True).T
-    else:
-        weight = elapsed / np.maximum(step, 1)
-        first, second = values[:, before], values[:, after]
-        between = slerp(first.T, second.T, weight).T if is_attitude else first + weight * (second - first)
-    if is_attitude:
-        between = np.stack(angles_of(between.T))
-    else:
-        between[1] = wrapped(between[1])
-    return np.where(is_covered, between, np.nan)
 
 
 # --- rotations of a body (forward, right, down) in the frame north, east, down ----------------------------

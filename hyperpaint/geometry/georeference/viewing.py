@@ -8,6 +8,7 @@ import xarray as xr
 
 from hyperpaint.base import (
     ALONG_TRACK,
+    ANGLES,
     CROSS_TRACK,
     Array,
     Convention,
@@ -19,9 +20,6 @@ from hyperpaint.base import (
 
 from .locating import directions, matrices, meridian_convergence, quaternions
 
-#: Variables of a line that rotate its camera.
-ATTITUDE = ("roll", "pitch", "heading")
-
 _VIEW_ANGLES = ("view_zenith", "view_azimuth")
 _NO_ROTATION = (0.0, 0.0, 0.0)
 #: Minimum horizontal part of a direction with an azimuth, 0.2 arc seconds.
@@ -32,7 +30,7 @@ class Viewing:
     """Directions of view of a flight line.
 
     They follow from ``view_zenith`` and ``view_azimuth`` of pixels (along_track, cross_track), else from
-    ``look_across`` or ``look_angle`` (cross_track) with `ATTITUDE` (along_track) [degree], in the declared
+    ``look_across`` or ``look_angle`` (cross_track) with `ANGLES` (along_track) [degree], in the declared
     convention of the line and with its ``boresight``. Unusable variables raise no error.
 
     Attributes
@@ -52,7 +50,7 @@ class Viewing:
     def __init__(self, line: xr.Dataset) -> None:
         look_names = ("look_across", "look_along", "look_angle")
         variables, faults = schema.find(
-            line, [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
+            line, [name for name in (*_VIEW_ANGLES, *look_names, *ANGLES) if name in line.variables]
         )
         problems = [fault.text() for fault in faults]
         self.planes: dict[str, xr.DataArray] = {}
@@ -60,7 +58,18 @@ class Viewing:
         self.look: Floats | None = None
         self.ahead: Floats | None = None
         self.boresight: tuple[float, ...] = tuple(map(float, line.attrs.get("boresight", _NO_ROTATION)))
-        self.convention = _declared_convention(line, problems)
+        # convention of the attitude; None where it is canonical or undeclared
+        try:
+            declared = Convention.from_attrs(line.attrs)
+        except SchemaError as error:
+            problems.append(str(error))
+            declared = None
+        if declared is not None:
+            # the variables are in degrees already
+            declared = declared.replace(
+                angle_unit="degree", height_reference="ellipsoid", geoid_undulation=None
+            )
+        self.convention = None if declared is None or declared == declared.of_canonical else declared
         look = next((name for name in ("look_across", "look_angle") if name in variables), None)
         if "view_zenith" in variables:
             self.planes = {name: variables[name] for name in _VIEW_ANGLES if name in variables}
@@ -69,7 +78,7 @@ class Viewing:
             self.look = variables[look].values.astype(np.float64)
             if "look_along" in variables:
                 self.ahead = variables["look_along"].values.astype(np.float64)
-            self.lines = {name: variables[name] for name in ATTITUDE if name in variables}
+            self.lines = {name: variables[name] for name in ANGLES if name in variables}
             angles = ", ".join(f"{angle:g}" for angle in self.boresight)
             mounting = (
                 f"boresight {angles}" if any(self.boresight) else "no angle between camera and platform"
@@ -162,20 +171,6 @@ def pixel_view(line: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray] | None:
         output_dtypes=[np.float64, np.float64],
     )
     return view
-
-
-def _declared_convention(line: xr.Dataset, problems: list[str]) -> Convention | None:
-    # Convention of a line's attitude, in degrees; None where it is canonical or undeclared
-    try:
-        declared = Convention.from_attrs(line.attrs)
-    except SchemaError as error:
-        problems.append(str(error))
-        return None
-    if declared is None:
-        return None
-    # the variables are in degrees already
-    declared = declared.replace(angle_unit="degree", height_reference="ellipsoid", geoid_undulation=None)
-    return None if declared == declared.of_canonical else declared
 
 
 def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> list[Floats]:
