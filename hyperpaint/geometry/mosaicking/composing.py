@@ -214,20 +214,56 @@ def strips_of(
         )
         rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
         if is_map(line):
-            strips.append(_cut_map(name, line, covered, ((row, col), rows, cols), variables))
+            # cut a map into the tiles of the mosaic, padded to complete tiles
+            missing = [needed for needed in _MAP_VARIABLES if needed not in line.variables]
+            SchemaError.raise_if(
+                missing,
+                f"the map {name} lacks {', '.join(missing)}",
+                mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+                code="variable-missing",
+            )
+            pads = [
+                (start - edge[0], edge[-1] - (start + count))
+                for start, count, edge in zip(covered.first, covered.shape, (rows, cols), strict=True)
+            ]
+            sizes = [tuple(np.diff(edge).tolist()) for edge in (rows, cols)]
+            names = line.data_vars if variables is None else dict.fromkeys([*_MAP_VARIABLES, *variables])
+            cut = {}
+            for layer in (key for key in names if {"y", "x"} <= set(line[key].dims)):
+                plane = line[layer].transpose("y", "x", ...)
+                data = plane.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
+                if any(map(any, pads)):
+                    other_pads = [(0, 0)] * (data.ndim - 2)
+                    data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(layer), data.dtype))
+                data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
+                cut[layer] = xr.DataArray(data, dims=plane.dims, attrs=plane.attrs)
+            band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
+            axis_coordinates = {
+                axis: (axis, np.zeros(sum(size)), line[axis].attrs)
+                for axis, size in zip(("y", "x"), sizes, strict=True)
+            }
+            strip = xr.Dataset(
+                cut, coords={**band_coordinates, **axis_coordinates, **_reference(line)}, attrs=line.attrs
+            )
+            strips.append(Strip(name, strip, (row, col), np.ones([len(size) for size in sizes], bool)))
             continue
         line_grid = replace(
             shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0])
         )
         west, _, _, north, _, _ = line_grid.transform
-        bounds = (
-            west,
-            north - line_grid.shape[0] * line_grid.gsd,
-            west + line_grid.shape[1] * line_grid.gsd,
-            north,
-        )
         orthomap = orthorectify(
-            line, line_grid.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
+            line,
+            line_grid.gsd,
+            grid="north",
+            variables=variables,
+            tile=tile,
+            bounds=(
+                west,
+                north - line_grid.shape[0] * line_grid.gsd,
+                west + line_grid.shape[1] * line_grid.gsd,
+                north,
+            ),
+            **options,
         )
         survey = shared.surveys[name]
         windows = tile_windows(line_grid.shape, tile)
@@ -236,82 +272,39 @@ def strips_of(
             touched[place] = bool(slabs)
         strips.append(Strip(name, orthomap, (row, col), touched))
     # the variables of all lines must be those of the first
-    problems = Problems("these lines make no mosaic", SchemaError)
-    first = strips[0]
-    for other in strips[1:]:
-        for variable in first.map.data_vars:
-            first_array, array = first.map[variable], other.map.variables.get(variable)
-            if array is None:
-                problems.add(
-                    f"{other.name} has no {variable}, which {first.name} has",
-                    mend="give variables=",
-                    code="variable-missing",
-                )
-                continue
-            for property_name, found, expected in (
-                ("type", array.dtype, first_array.dtype),
-                ("size", array.shape[2:], first_array.shape[2:]),
-                ("units", array.attrs.get("units"), first_array.attrs.get("units")),
-            ):
-                problems.add_if(
-                    found != expected,
-                    f"{property_name} of {variable} of {other.name} {found}",
-                    expected=f"{expected} of {first.name}",
-                    code="variable-mismatch",
-                )
-        first_wavelength, wavelength = (
-            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
-        )
-        problems.add_if(
-            first_wavelength.shape != wavelength.shape
-            or not np.allclose(first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM),
-            f"wavelengths of {other.name} differ from those of {first.name}",
-            code="wavelength-mismatch",
-        )
-    problems.raise_if_any()
+    with Problems("these lines make no mosaic", SchemaError) as problems:
+        first = strips[0]
+        for other in strips[1:]:
+            for variable in first.map.data_vars:
+                first_array, array = first.map[variable], other.map.variables.get(variable)
+                if array is None:
+                    problems.add(
+                        f"{other.name} has no {variable}, which {first.name} has",
+                        mend="give variables=",
+                        code="variable-missing",
+                    )
+                    continue
+                for property_name, found, expected in (
+                    ("type", array.dtype, first_array.dtype),
+                    ("size", array.shape[2:], first_array.shape[2:]),
+                    ("units", array.attrs.get("units"), first_array.attrs.get("units")),
+                ):
+                    problems.add_if(
+                        found != expected,
+                        f"{property_name} of {variable} of {other.name} {found}",
+                        expected=f"{expected} of {first.name}",
+                        code="variable-mismatch",
+                    )
+            first_wavelength, wavelength = (
+                np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
+            )
+            problems.add_if(
+                first_wavelength.shape != wavelength.shape
+                or not np.allclose(first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM),
+                f"wavelengths of {other.name} differ from those of {first.name}",
+                code="wavelength-mismatch",
+            )
     return strips
-
-
-def _cut_map(
-    name: str,
-    line: xr.Dataset,
-    map_grid: MapGrid,
-    tiles: tuple[tuple[int, int], list[int], list[int]],
-    variables: Iterable[str] | None,
-) -> Strip:
-    # Cut a map into the tiles of the mosaic, padded to complete tiles.
-    missing = [needed for needed in _MAP_VARIABLES if needed not in line.variables]
-    SchemaError.raise_if(
-        missing,
-        f"the map {name} lacks {', '.join(missing)}",
-        mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
-        code="variable-missing",
-    )
-    corner, *edges = tiles
-    pads = [
-        (start - edge[0], edge[-1] - (start + count))
-        for start, count, edge in zip(map_grid.first, map_grid.shape, edges, strict=True)
-    ]
-    sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
-    names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_MAP_VARIABLES, *variables])]
-    cut = {}
-    for variable in (variable_name for variable_name in names if {"y", "x"} <= set(line[variable_name].dims)):
-        array = line[variable].transpose("y", "x", ...)
-        data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
-        if any(map(any, pads)):
-            other_pads = [(0, 0)] * (data.ndim - 2)
-            data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(variable), data.dtype))
-        data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
-        cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
-    band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
-    axis_coordinates = {
-        axis: (axis, np.zeros(sum(size)), line[axis].attrs)
-        for axis, size in zip(("y", "x"), sizes, strict=True)
-    }
-    strip = xr.Dataset(
-        cut, coords={**band_coordinates, **axis_coordinates, **_reference(line)}, attrs=line.attrs
-    )
-    return Strip(name, strip, corner, np.ones([len(size) for size in sizes], bool))
 
 
 def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
@@ -447,16 +440,15 @@ def mosaic(
     (array([0., 2., 2., 2.]), array([0, 1, 1, 1], dtype=int16), 'first second')
     """
     lines_by_name = named_lines(lines)
-    problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
-    one_of(rule, RULES, "rule", problems=problems)
-    problems.add_if(
-        levelling not in (None, "overlap"),
-        f"levelling {levelling!r:.60}",
-        expected="'overlap' or None",
-        code="choice-unknown",
-    )
-    check_cells(problems, gsd, tile)
-    problems.raise_if_any()
+    with Problems("these lines cannot be composed to a mosaic", SchemaError) as problems:
+        one_of(rule, RULES, "rule", problems=problems)
+        problems.add_if(
+            levelling not in (None, "overlap"),
+            f"levelling {levelling!r:.60}",
+            expected="'overlap' or None",
+            code="choice-unknown",
+        )
+        check_cells(problems, gsd, tile)
     lines_by_name = located_lines(
         lines_by_name, {name: options.pop(name) for name in _LOCATION if name in options}
     )
