@@ -517,8 +517,10 @@ def mosaic(
                 for strip, bands in zip(strips, interpolated, strict=True)
                 if bands.any()
             )
-        layers["levelling_factor"] = (("source", BAND), factors, attributes)
-        layers["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
+        layers |= {
+            "levelling_factor": (("source", BAND), factors, attributes),
+            "source": ("source", [strip.name for strip in strips], {"long_name": "Flight line"}),
+        }
     for name in names_of_all:
         lazy = (
             tiles.plane(planes, name, first[name].dtype)
@@ -536,9 +538,13 @@ def mosaic(
         key: value
         for key, value in first.attrs.items()
         if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
+    } | {
+        "gsd": grid.gsd,
+        "grid": "north",
+        "mosaic_rule": rule,
+        "levelling": levelling or "none",
+        "flightlines": [strip.name for strip in strips],
     }
-    attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
-    attrs["flightlines"] = [strip.name for strip in strips]
     tiled = xr.Dataset(layers, band_coordinates, attrs)
     # cut the tiles to the extent of the lines
     offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
@@ -622,14 +628,67 @@ class _Tiles:
         return tile_array(label, layer, (*sides, *((size,) for size in bands)), dtype, sources, options)
 
     def levelling(self, variable: str) -> tuple[Floats, Bools]:
+        # Return factors (line, band) that make lines agree where they overlap (eager, a tile at a time).
+        #
+        # And whether the factor of an overlapping line is interpolated from neighbouring bands (line, band).
+        #
+        # Robust least squares on the logarithm of the medians of tiles, over unflagged cells. Lines connected
+        # by overlaps keep their mean logarithm; lines without enough overlap have the factor 1. Two lines do
+        # not overlap in a band that is 0 or less in one of them; a factor of 1 there would be a step in the
+        # spectrum, so the logarithm is interpolated line by line over the wavelength, or band numbers, and
+        # constant beyond the outermost bands.
+        #
+        # Raises `SchemaError`: No two lines overlap.
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
         wavelength_nm = (
             None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
         )
-        factors, interpolated = overlap_factors(tiles, len(self.strips), first.shape[2], wavelength_nm)
-        return factors.astype(first.dtype), interpolated
+        lines, bands = len(self.strips), first.shape[2]
+        # recipes are bound to the callable: dask would search arguments for tasks
+        tasks = [
+            dask.delayed(partial(_ratios, tile), pure=False, traverse=False)()
+            for tile in tiles
+            if len(tile) > 1
+        ]
+        ratios = [ratio for tile in dask.compute(*tasks) for ratio in tile]
+        SchemaError.raise_if(
+            not ratios,
+            "lines cannot be levelled: no two lines overlap in unflagged cells",
+            mend="leave out levelling=",
+            code="overlap-missing",
+        )
+        incidence = np.zeros((len(ratios), lines))
+        for row, (earlier, later, _, _) in enumerate(ratios):
+            incidence[row, earlier], incidence[row, later] = -1.0, 1.0
+        weights = np.sqrt(np.stack([cells for _, _, cells, _ in ratios]))
+        observed = np.stack([log_ratio for *_, log_ratio in ratios])
+        # lines connected by overlaps in any band must be connected in this band too
+        parts_of_all = _connected_parts(incidence)
+        logs = np.zeros((lines, bands))
+        is_tied = np.zeros((lines, bands), bool)
+        for band in range(bands):
+            is_observed = np.isfinite(observed[:, band])
+            if is_observed.any():
+                logs[:, band] = _robust_fit(
+                    incidence[is_observed], observed[is_observed, band], weights[is_observed, band]
+                )
+                parts = _connected_parts(incidence[is_observed])
+                is_tied[:, band] = [
+                    np.unique(parts[parts_of_all == number]).size == 1 for number in parts_of_all
+                ]
+        overlapping: Bools = np.any(incidence != 0.0, axis=0)
+        interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
+        position = np.arange(bands, dtype=np.float64) if wavelength_nm is None else wavelength_nm
+        for line in np.flatnonzero(interpolated.any(axis=1)):
+            tied_bands = np.flatnonzero(~interpolated[line])
+            tied_bands = tied_bands[np.argsort(position[tied_bands], kind="stable")]
+            gap_bands = interpolated[line]
+            logs[line, gap_bands] = np.interp(
+                position[gap_bands], position[tied_bands], logs[line, tied_bands]
+            )
+        return np.exp(logs).astype(first.dtype), interpolated
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         tile_index = self.first[0] + place[0], self.first[1] + place[1]
@@ -650,8 +709,9 @@ class _Tiles:
             arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
             tasks[place] = (partial(_planes_of_tile, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
-        options = (sources, rule, self.first, self.count, self.size)
-        return self._array("mosaic-planes", tasks, object, [], options)
+        return self._array(
+            "mosaic-planes", tasks, object, [], (sources, rule, self.first, self.count, self.size)
+        )
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
@@ -768,60 +828,6 @@ _LEVELLING = SimpleNamespace(
     huber_sd=1.345,
     fit_rounds=20,
 )
-
-
-def overlap_factors(
-    tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
-) -> tuple[Floats, Bools]:
-    # Return factors (line, band) that make lines agree where they overlap (eager, a tile at a time).
-    #
-    # And whether the factor of an overlapping line is interpolated from neighbouring bands (line, band).
-    #
-    # ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
-    # the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
-    # logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
-    # or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
-    # interpolated line by line over ``wavelength`` (band,), or band numbers, and constant beyond the
-    # outermost bands.
-    #
-    # Raises `SchemaError`: No two lines overlap.
-    # recipes are bound to the callable: dask would search arguments for tasks
-    tasks = [
-        dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
-    ]
-    ratios = [ratio for tile in dask.compute(*tasks) for ratio in tile]
-    SchemaError.raise_if(
-        not ratios,
-        "lines cannot be levelled: no two lines overlap in unflagged cells",
-        mend="leave out levelling=",
-        code="overlap-missing",
-    )
-    incidence = np.zeros((len(ratios), lines))
-    for row, (first, second, _, _) in enumerate(ratios):
-        incidence[row, first], incidence[row, second] = -1.0, 1.0
-    weights = np.sqrt(np.stack([cells for _, _, cells, _ in ratios]))
-    observed = np.stack([log_ratio for *_, log_ratio in ratios])
-    # lines connected by overlaps in any band must be connected in this band too
-    parts_of_all = _connected_parts(incidence)
-    logs = np.zeros((lines, bands))
-    is_tied = np.zeros((lines, bands), bool)
-    for band in range(bands):
-        is_observed = np.isfinite(observed[:, band])
-        if is_observed.any():
-            logs[:, band] = _robust_fit(
-                incidence[is_observed], observed[is_observed, band], weights[is_observed, band]
-            )
-            parts = _connected_parts(incidence[is_observed])
-            is_tied[:, band] = [np.unique(parts[parts_of_all == number]).size == 1 for number in parts_of_all]
-    overlapping: Bools = np.any(incidence != 0.0, axis=0)
-    interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
-    position = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
-    for line in np.flatnonzero(interpolated.any(axis=1)):
-        tied_bands = np.flatnonzero(~interpolated[line])
-        tied_bands = tied_bands[np.argsort(position[tied_bands], kind="stable")]
-        gap_bands = interpolated[line]
-        logs[line, gap_bands] = np.interp(position[gap_bands], position[tied_bands], logs[line, tied_bands])
-    return np.exp(logs), interpolated
 
 
 def _connected_parts(incidence: Floats) -> Ints:
