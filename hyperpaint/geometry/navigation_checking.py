@@ -23,11 +23,13 @@ import xarray as xr
 
 from hyperpaint.base import (
     ALONG_TRACK,
+    ANGLES,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     MID_EXPOSURE_OFFSETS,
+    NAVIGATION_TIME,
     WGS84_ECCENTRICITY_SQUARED,
     WGS84_SEMI_MAJOR_AXIS_M,
     Array,
@@ -45,9 +47,7 @@ from hyperpaint.base import (
     takes_quantities,
 )
 from hyperpaint.geometry.georeference.locating import (
-    ANGLES,
     LOCATION_UNITS,
-    NAVIGATION_TIME,
     POSE,
     PinholeCamera,
     canonical_values,
@@ -209,8 +209,10 @@ class ConventionCheck:
 
     def table(self) -> str:
         # Return the findings as text.
-        rows = [("", "declared", "verdict", "looks like", "evidence")]
-        rows += [(f.field, f.declared, f.verdict, f.likely, f.evidence) for f in self.findings]
+        rows = [
+            ("", "declared", "verdict", "looks like", "evidence"),
+            *((f.field, f.declared, f.verdict, f.likely, f.evidence) for f in self.findings),
+        ]
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
         return "\n".join(
             "  ".join([*(cell.ljust(n) for cell, n in zip(row, widths, strict=False)), row[4]]).rstrip()
@@ -298,8 +300,13 @@ def check_conventions(
     labelled, *other_units = {str(source[name].attrs.get("units")) for name in ANGLES}
     is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
-        evidence = f"the variables have units {labelled!r}"
-        unit = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
+        unit = Finding(
+            "angle_unit",
+            setting.declared.angle_unit,
+            "wrong",
+            labelled,
+            f"the variables have units {labelled!r}",
+        )
         findings = [unit if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     # a wrong field is replaced only where one alternative remains
@@ -344,8 +351,12 @@ def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Find
     with contextlib.suppress(*impossible):
         offset = estimate_clock_offset(line, irradiance=line, lines=selected)
         if abs(offset.offset_s) > max(RULES.clock_sd * offset.uncertainty_s, RULES.max_light_lag_s):
-            likely = f"{offset.offset_s:+.2f} s"
-            findings.append((name, Finding("irradiance clock", "0 s", "wrong", likely, offset.evidence)))
+            findings.append(
+                (
+                    name,
+                    Finding("irradiance clock", "0 s", "wrong", f"{offset.offset_s:+.2f} s", offset.evidence),
+                )
+            )
     return findings
 
 
@@ -727,10 +738,9 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
         if not np.isfinite(canonical[0]).any() or np.nanmax(np.abs(canonical[0])) >= 90.0:
             continue
         motion = setting.view_of(hypothesis).motion(canonical)
-        if not (np.isfinite(motion.shift) | ~compared).all():
-            continue
-        expected = motion
-        explained.append((hypothesis, *_residuals(observed, expected, compared, setting.interval)))
+        if (np.isfinite(motion.shift) | ~compared).all():
+            expected = motion
+            explained.append((hypothesis, *_residuals(observed, expected, compared, setting.interval)))
     if expected is None:
         return [], compared
     # the same travel over ground, without rotation
@@ -788,8 +798,13 @@ def _findings(setting: Setting) -> list[Finding]:
             course = np.degrees(np.arctan2(east[located[-1]], north[located[-1]])) % 360.0
             direction = np.exp(1j * np.radians(poses[5][has_heading] - course)).mean()
             crab = float(np.degrees(np.angle(direction)))
-        evidence = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
-        return Finding("heading_reference", convention.heading_reference, "undecided", "", evidence)
+        return Finding(
+            "heading_reference",
+            convention.heading_reference,
+            "undecided",
+            "",
+            f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike",
+        )
 
     # signs can be tested at any height: where the recorded one is impossible, or the height of the ground is
     # unknown, take the height of square pixels, as flights are planned
@@ -804,12 +819,40 @@ def _findings(setting: Setting) -> list[Finding]:
             "the picture does not follow the attitude: no wobble, low contrast, a large clock offset, or a "
             "boresight of some degrees that was not passed"
         )
-        declarations = {**declared.fields(), "height_reference": convention.height_reference}
-        declarations |= {"stamp_reference": str(convention.stamp_reference)}
+        declarations = {
+            **declared.fields(),
+            "height_reference": convention.height_reference,
+            "stamp_reference": str(convention.stamp_reference),
+        }
         undecided = [Finding(name, str(v), "undecided", "", evidence) for name, v in declarations.items()]
         return [*undecided, of_north(declared)]
     best = _nearest(scored, declared)
-    height = _fit_height(setting, best, compared, median_altitude(best) - setting.view.ground)
+    nominal_height = median_altitude(best) - setting.view.ground
+    # Return the height above the ground [m] at which travel over ground is consistent with rotations.
+    #
+    # Shifts by rotation do not depend on the height, shifts by travel are proportional to its inverse. Travel
+    # shows sideways where the platform drifts, by the wobble of its heading, and along the track by the
+    # likeness of rows.
+    best_poses, view, factors = (
+        setting.poses(best),
+        setting.view_of(best),
+        np.array(RULES.height_factors),
+    )
+    tried = nominal_height * factors
+    motions = [
+        replace(view, ground=view.ground + nominal_height - float(h)).motion(best_poses) for h in tried
+    ]
+    shifts, unlikeness = zip(
+        *(_residuals(setting.observed, m, compared, setting.interval) for m in motions), strict=True
+    )
+    mid = factors.size // 2
+    cost = _likelihood_costs(shifts, compared, mid) + _likelihood_costs(unlikeness, compared, mid)
+    lowest = int(cost.argmin())
+    plausible = tried[cost < cost[lowest] + 2.0]  # within two standard deviations
+    sd = float(plausible[-1] - plausible[0]) / 4.0 if 0 < lowest < tried.size - 1 else np.inf
+    step = float(tried[lowest] * np.log(factors[1] / factors[0]))
+    at_declared = float(np.interp(nominal_height, tried, cost))
+    height = Refined(float(tried[lowest]), max(sd, step / 2), at_declared - float(cost[lowest]))
     is_height_off = (
         recorded_height > 0.0
         and height.odds > RULES.log_odds
@@ -823,14 +866,16 @@ def _findings(setting: Setting) -> list[Finding]:
     other = "geoid" if convention.height_reference == "ellipsoid" else "ellipsoid"
     evidence = f"{height.value:.0f} +- {height.sd:.0f} m above ground by the picture"
     heights = f"{evidence}, {recorded_height:.0f} m by the record"
-    below = f"the camera would be {-recorded_height:.0f} m below the ground"
     findings = [
         *_field_findings(setting, scored, compared),
         of_north(best),
         _finding(
             "height_reference", convention.height_reference,
             (np.isnan(recorded_height), "undecided", "", f"{evidence}; the height of the ground is unknown"),
-            (not recorded_height > 0.0, "wrong", other, below),
+            (
+                not recorded_height > 0.0, "wrong", other,
+                f"the camera would be {-recorded_height:.0f} m below the ground",
+            ),
             (is_height_off, "wrong", other, f"{heights}; or ground= is not that of the ellipsoid"),
             (height.sd * 4.0 < recorded_height, "right", "", heights),
             (True, "undecided", "", heights),
@@ -850,8 +895,12 @@ def _findings(setting: Setting) -> list[Finding]:
     is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock.sd, half_exposure / 2)
     evidence = f"clock {1e3 * clock.value:+.1f} +- {1e3 * clock.sd:.1f} ms"
     if stamp is not None and not is_on_time and is_offset:
-        offset = f"{clock.value:+.4f} s"
-        return [*findings, Finding("clock", "0 s", "wrong", offset, f"{evidence}; add it as clock_offset_s")]
+        return [
+            *findings,
+            Finding(
+                "clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
+            ),
+        ]
     return [
         *findings,
         _finding(
@@ -894,7 +943,6 @@ def _field_findings(setting: Setting, scored: list[Scored], compared: Bools) -> 
         )
         likely = " or ".join(v for v in fitting if v != value)
         against = f"log odds {min(-max(own_odds, default=-9999.0), 9999.0):.0f} against it"
-        support = f"log odds {min(-max(other_odds, default=-9999.0), 9999.0):.0f} for it"
         findings.append(
             _finding(
                 name, value,
@@ -903,7 +951,7 @@ def _field_findings(setting: Setting, scored: list[Scored], compared: Bools) -> 
                 (value not in fitting, "wrong", likely, against),
                 (len(fitting) > 1, "undecided", likely, f"{' and '.join(fitting)} fit alike"),
                 (not other_odds, "undecided", likely, "not tested"),
-                (True, "right", "", support),
+                (True, "right", "", f"log odds {min(-max(other_odds, default=-9999.0), 9999.0):.0f} for it"),
             )
         )  # fmt: skip
     return findings
@@ -1097,32 +1145,6 @@ def _offset_costs(
     return costs
 
 
-def _fit_height(setting: Setting, hypothesis: Hypothesis, compared: Bools, height: float) -> Refined:
-    # Return the height above the ground [m] at which travel over ground is consistent with rotations.
-    #
-    # Shifts by rotation do not depend on the height, shifts by travel are proportional to its inverse. Travel
-    # shows sideways where the platform drifts, by the wobble of its heading, and along the track by the
-    # likeness of rows.
-    poses, view, factors = (
-        setting.poses(hypothesis),
-        setting.view_of(hypothesis),
-        np.array(RULES.height_factors),
-    )
-    heights = height * factors
-    motions = [replace(view, ground=view.ground + height - float(h)).motion(poses) for h in heights]
-    shifts, unlikeness = zip(
-        *(_residuals(setting.observed, m, compared, setting.interval) for m in motions), strict=True
-    )
-    middle = factors.size // 2
-    cost = _likelihood_costs(shifts, compared, middle) + _likelihood_costs(unlikeness, compared, middle)
-    best = int(cost.argmin())
-    plausible = heights[cost < cost[best] + 2.0]  # within two standard deviations
-    sd = float(plausible[-1] - plausible[0]) / 4.0 if 0 < best < heights.size - 1 else np.inf
-    step = float(heights[best] * np.log(factors[1] / factors[0]))
-    declared = float(np.interp(height, heights, cost))
-    return Refined(float(heights[best]), max(sd, step / 2), declared - float(cost[best]))
-
-
 # --- clock offsets -----------------------------------------------------------------------------------------
 
 
@@ -1255,8 +1277,13 @@ def estimate_clock_offset(
     _refuse_first((not compared.any(), "no two lines in a row show a motion", "motion-not-seen"))
     offsets = np.arange(-max_offset_s, max_offset_s + RULES.search_step_s / 2, RULES.search_step_s)
     costs = _offset_costs(setting, poses, view, compared, offsets)
-    unposed = "the record has no poses at the times of the lines; look at dates and zones"
-    _refuse_first((np.isnan(costs).all(), unposed, "pose-missing"))
+    _refuse_first(
+        (
+            np.isnan(costs).all(),
+            "the record has no poses at the times of the lines; look at dates and zones",
+            "pose-missing",
+        )
+    )
     best = int(np.nanargmin(costs))
     poses_at_best = poses(float(offsets[best]))
     # the same poses, every angle replaced by its mean
@@ -1302,10 +1329,20 @@ def estimate_clock_offset(
     )
     fitted = _fit_clock(setting, expected, compared, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
-    uncertain = f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for"
-    _refuse_first((not fitted.sd < limit, uncertain, "offset-uncertain"))
-    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(compared.sum())} parts of rows"
-    return ClockOffset(fitted.value, fitted.sd, "attitude", evidence, _curve(offsets, misfit))
+    _refuse_first(
+        (
+            not fitted.sd < limit,
+            f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for",
+            "offset-uncertain",
+        )
+    )
+    return ClockOffset(
+        fitted.value,
+        fitted.sd,
+        "attitude",
+        f"attitude explains {100 * gain:.0f} % of the shifts of {int(compared.sum())} parts of rows",
+        _curve(offsets, misfit),
+    )
 
 
 def _refuse_first(*rows: tuple[Any, str, str]) -> None:
@@ -1361,11 +1398,14 @@ def _light_offset(
     change = np.nanmedian(steps, axis=1)
     width = float(np.median(np.diff(samples))) / RULES.bins_an_interval
     edges = np.arange(seconds[0], seconds[-1], max(width, 3.0 * float(np.median(np.diff(seconds)))))
-    short = (
-        f"the line lasts {seconds[-1] - seconds[0]:.1f} s, expected {RULES.min_bins * width:.0f} s for this "
-        "record"
+    _refuse_first(
+        (
+            edges.size <= RULES.min_bins,
+            f"the line lasts {seconds[-1] - seconds[0]:.1f} s, "
+            f"expected {RULES.min_bins * width:.0f} s for this record",
+            "line-too-short",
+        )
     )
-    _refuse_first((edges.size <= RULES.min_bins, short, "line-too-short"))
     observed = np.diff(np.interp(edges, seconds, np.concatenate([[0.0], np.cumsum(change)])))
     offsets = np.linspace(-max_offset_s, max_offset_s, RULES.offset_steps + 1)
     expected = np.full((offsets.size, observed.size), np.nan)
@@ -1377,8 +1417,13 @@ def _light_offset(
     _refuse_first((not covered.any(), elsewhere, "record-elsewhere"))
     swing = float(np.ptp(np.cumsum(expected[covered], axis=1), axis=1).max())
     least = RULES.min_light_change
-    constant = f"light changes by {100 * swing:.1f} % over the line, at least {100 * least:.0f} %"
-    _refuse_first((swing < least, constant, "light-constant"))
+    _refuse_first(
+        (
+            swing < least,
+            f"light changes by {100 * swing:.1f} % over the line, at least {100 * least:.0f} %",
+            "light-constant",
+        )
+    )
     # misfit at every offset, with residuals limited to four standard deviations
     observed = observed - np.median(observed)
     centred = expected - expected.mean(axis=1, keepdims=True)
@@ -1428,8 +1473,13 @@ def _light_offset(
         ),
     )
     explained = 100.0 * (1.0 - misfit[best] / misfit_constant)
-    evidence = f"the light explains {explained:.0f} % of the changes of brightness, log odds {gain:.0f}"
-    return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(misfit / misfit_constant)))
+    return ClockOffset(
+        offset,
+        sd,
+        "irradiance",
+        f"the light explains {explained:.0f} % of the changes of brightness, log odds {gain:.0f}",
+        _curve(offsets, np.sqrt(misfit / misfit_constant)),
+    )
 
 
 def _minimum(offsets: Floats, cost: Floats) -> float:
