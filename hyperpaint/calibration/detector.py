@@ -26,6 +26,7 @@ from numpy.polynomial import chebyshev
 from hyperpaint.base import (
     BAND,
     CROSS_TRACK,
+    ELEMENT,
     MONOCHROMATOR_SHAPES,
     QUANTISATION_VARIANCE_COUNT2,
     SATURATION_MARGIN_COUNTS,
@@ -60,7 +61,6 @@ from hyperpaint.kernels.line_fits import (
 )
 from hyperpaint.radiometry.stray_light import Linearity, smear_of
 
-_ELEMENT = (BAND, CROSS_TRACK)
 #: Relative difference of exposure times that are taken as equal, by rounding of drivers [1].
 SAME_EXPOSURE = 1e-3
 #: Largest extrapolation of a dark model, as a factor on the shortest and longest exposure of its darks [1].
@@ -202,8 +202,8 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
     return xr.Dataset(
         {
-            "dark_bias": label(xr.DataArray(model.bias.astype(np.float32), dims=_ELEMENT), "dark_bias"),
-            "dark_rate": label(xr.DataArray(model.rate.astype(np.float32), dims=_ELEMENT), "dark_rate"),
+            "dark_bias": label(xr.DataArray(model.bias.astype(np.float32), dims=ELEMENT), "dark_bias"),
+            "dark_rate": label(xr.DataArray(model.rate.astype(np.float32), dims=ELEMENT), "dark_rate"),
         },
         attrs={
             "dark_exposures_s": list(model.exposures),
@@ -262,32 +262,32 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     array([[1.1111, 0.9091]], dtype=float32)
     """
     SchemaError.raise_if(
-        not set(_ELEMENT) <= set(frames.dims),
+        not set(ELEMENT) <= set(frames.dims),
         f"flat-field frames have dims {tuple(map(str, frames.dims))}",
         expected=f"{BAND} and {CROSS_TRACK}",
         code="dims-wrong",
     )
-    other_dims = [dim for dim in frames.dims if dim not in _ELEMENT]
+    other_dims = [dim for dim in frames.dims if dim not in ELEMENT]
     level = frames.astype(np.float64)
     if other_dims:
         level = level.chunk(dict.fromkeys(other_dims, -1)) if level.chunks is not None else level
         level = level.median(other_dims)
-    level = level.transpose(*_ELEMENT)
+    level = level.transpose(*ELEMENT)
     if dark is not None:
-        level = level - dark.transpose(*_ELEMENT).astype(np.float64)
+        level = level - dark.transpose(*ELEMENT).astype(np.float64)
     level = level.where(level > 0)
-    return label((level.mean(CROSS_TRACK) / level).transpose(*_ELEMENT).astype(np.float32), "flat_field")
+    return label((level.mean(CROSS_TRACK) / level).transpose(*ELEMENT).astype(np.float32), "flat_field")
 
 
 def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Array:
     # Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits.
     SchemaError.raise_if(
-        set(array.dims) != set(_ELEMENT) or array.transpose(*_ELEMENT).shape != shape,
+        set(array.dims) != set(ELEMENT) or array.transpose(*ELEMENT).shape != shape,
         f"{name} has sizes {dict(array.sizes)}",
         expected=f"{BAND} and {CROSS_TRACK} of {shape}",
         code="grid-mismatch",
     )
-    return array.transpose(*_ELEMENT).to_numpy()
+    return array.transpose(*ELEMENT).to_numpy()
 
 
 @takes_quantities()
@@ -446,88 +446,107 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     #
     # Raises `SchemaError`: Variables, dims, units or values are missing or impossible; all problems are
     # listed.
-    problems = Problems(_REFUSAL, SchemaError)
-    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
-    optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
-    arrays, faults = find(sweep, [*needed, *optional], SWEEP_VARIABLES)
-    problems.extend(faults)
-    for name in [name for name, array in arrays.items() if array.dtype.kind not in "iuf"]:
-        problems.add(
-            f"{name!r} has dtype {arrays.pop(name).dtype}",
-            expected=f"{SWEEP_VARIABLES[name].dtype}",
-            code="type-wrong",
-        )
-    steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
-    problems.add_if(
-        sweep.sizes and steps < MIN_STEPS,
-        f"{steps} steps",
-        expected=f"at least {MIN_STEPS}",
-        code="steps-too-few",
-    )
-    values = {
-        name: np.asarray(array.to_numpy(), np.float64)
-        for name, array in arrays.items()
-        if name not in ("counts", "counts_variance", "dark_counts")
-    }
-    sweep_nm = values.get("step_wavelength", np.ones(1))
-    if not np.isfinite(sweep_nm).all() or (sweep_nm <= 0).any():
-        problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
-    elif (unordered := np.flatnonzero(np.diff(sweep_nm) <= 0)).size:
-        texts = [f"{sweep_nm[k + 1]:g} after {sweep_nm[k]:g} nm (step {k + 1})" for k in unordered]
-        problems.add(
-            f"steps are out of order: {listed(texts, '', 3)}",
-            mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
-            code="steps-unordered",
-        )
-    for name in (name for name in _POSITIVE if name in values):
-        high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
-        _check_positive(name, arrays[name].dims, values[name], high, wavelength, problems)
-    for name, where, expected in (
-        ("band_shift_time", " s", "the time of one band, some microseconds"),
-        ("read_noise", " in places", "finite and at least zero"),
-    ):
-        value = values.get(name, np.zeros(()))
+    with Problems(_REFUSAL, SchemaError) as problems:
+        needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
+        optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
+        arrays, faults = find(sweep, [*needed, *optional], SWEEP_VARIABLES)
+        problems.extend(faults)
+        for name in [name for name, array in arrays.items() if array.dtype.kind not in "iuf"]:
+            problems.add(
+                f"{name!r} has dtype {arrays.pop(name).dtype}",
+                expected=f"{SWEEP_VARIABLES[name].dtype}",
+                code="type-wrong",
+            )
+        steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
         problems.add_if(
-            not (np.isfinite(value) & (value >= 0)).all(),
-            f"{name!r} is {value.min(initial=np.inf):g}{where}",
-            expected=expected,
-            code="value-out-of-range",
+            sweep.sizes and steps < MIN_STEPS,
+            f"{steps} steps",
+            expected=f"at least {MIN_STEPS}",
+            code="steps-too-few",
         )
-    shape = sweep.attrs.get("monochromator_shape", "gaussian")
-    one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
-    dark = _dark(arrays, values, problems)
-    problems.raise_if_any()
+        values = {
+            name: np.asarray(array.to_numpy(), np.float64)
+            for name, array in arrays.items()
+            if name not in ("counts", "counts_variance", "dark_counts")
+        }
+        sweep_nm = values.get("step_wavelength", np.ones(1))
+        if not np.isfinite(sweep_nm).all() or (sweep_nm <= 0).any():
+            problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
+        elif (unordered := np.flatnonzero(np.diff(sweep_nm) <= 0)).size:
+            texts = [f"{sweep_nm[k + 1]:g} after {sweep_nm[k]:g} nm (step {k + 1})" for k in unordered]
+            problems.add(
+                f"steps are out of order: {listed(texts, '', 3)}",
+                mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
+                code="steps-unordered",
+            )
+        for name in (name for name in _POSITIVE if name in values):
+            high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
+            dims, value = arrays[name].dims, values[name]
+            is_invalid = ~(np.isfinite(value) & (value > 0) & (value <= high))
+            if dims == (STEP, CROSS_TRACK):
+                # a step may have columns without flux, which are unlit, but not only such columns
+                is_unlit = is_invalid & ((value == 0) | np.isnan(value))
+                is_invalid &= ~is_unlit | is_invalid.all(axis=1, keepdims=True)
+            steps_text, mend = "", ""
+            if STEP in dims:
+                faulty = np.flatnonzero(is_invalid.any(axis=tuple(range(1, value.ndim))))
+                wavelengths_text = "" if wavelength is None else f" ({listed(wavelength[faulty], 'nm')})"
+                steps_text = f" at {faulty.size} of {len(value)} steps{wavelengths_text}"
+                mend = "measure it, or leave these steps out with sweep.isel(step=...)"
+            if is_invalid.any():
+                problems.add(
+                    f"{name!r} is {value[is_invalid].ravel()[0]:g}{steps_text}",
+                    expected="positive and finite" if high == np.inf else f"above 0 and at most {high:g}",
+                    mend=mend,
+                    code="value-out-of-range",
+                )
+        for name, where, expected in (
+            ("band_shift_time", " s", "the time of one band, some microseconds"),
+            ("read_noise", " in places", "finite and at least zero"),
+        ):
+            value = values.get(name, np.zeros(()))
+            problems.add_if(
+                not (np.isfinite(value) & (value >= 0)).all(),
+                f"{name!r} is {value.min(initial=np.inf):g}{where}",
+                expected=expected,
+                code="value-out-of-range",
+            )
+        shape = sweep.attrs.get("monochromator_shape", "gaussian")
+        one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
+        dark = _dark(arrays, values, problems)
     assert dark is not None  # otherwise there is a problem
-    return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
 
+    def per_step(name: str, default: float) -> Floats:
+        return np.broadcast_to(values.get(name, np.float64(default)), (steps,)).astype(np.float64)
 
-def _check_positive(
-    name: str,
-    dims: tuple[Any, ...],
-    values: Floats,
-    high: float,
-    wavelength: Floats | None,
-    problems: Problems,
-) -> None:
-    is_invalid = ~(np.isfinite(values) & (values > 0) & (values <= high))
-    if dims == (STEP, CROSS_TRACK):
-        # a step may have columns without flux, which are unlit, but not only such columns
-        is_invalid &= ~(is_invalid & ((values == 0) | np.isnan(values))) | is_invalid.all(
-            axis=1, keepdims=True
-        )
-    if not is_invalid.any():
-        return
-    steps_text, mend = "", ""
-    if STEP in dims:
-        steps = np.flatnonzero(is_invalid.any(axis=tuple(range(1, values.ndim))))
-        wavelengths_text = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
-        steps_text = f" at {steps.size} of {len(values)} steps{wavelengths_text}"
-        mend = "measure it, or leave these steps out with sweep.isel(step=...)"
-    problems.add(
-        f"{name!r} is {values[is_invalid].ravel()[0]:g}{steps_text}",
-        expected="positive and finite" if high == np.inf else f"above 0 and at most {high:g}",
-        mend=mend,
-        code="value-out-of-range",
+    def per_line(name: str) -> Floats:
+        stated = values.get(name, np.ones(()))
+        stated = np.where(stated > 0, stated, np.nan)
+        return np.broadcast_to(stated[:, None] if stated.ndim == 1 else stated, (steps, columns))
+
+    def scalar(name: str) -> float | None:
+        return float(np.nanmedian(values[name])) if name in values else None
+
+    return LabSweep(
+        counts=arrays["counts"],
+        variance=arrays.get("counts_variance"),
+        dark=dark,
+        wavelength=values["step_wavelength"],
+        width=per_step("monochromator_fwhm", 0.0),
+        triangular=shape == "triangle",
+        exposure=per_step("exposure_time", np.nan),
+        frames=per_step("frame_count", 1.0),
+        dark_frames=scalar("dark_frame_count"),
+        power=np.asarray(per_line("flux") * per_line("capture_fraction")),
+        etendue=np.broadcast_to(values.get("etendue", np.float64(1.0)), (columns,)).astype(np.float64),
+        saturation=values.get("saturation_count"),
+        electrons_per_count=scalar("electrons_per_count"),
+        read_noise=scalar("read_noise"),
+        absolute=all(name in arrays for name in _ABSOLUTE),
+        by_column=any(
+            name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
+        ),
+        band_shift_time=scalar("band_shift_time") or 0.0,
     )
 
 
@@ -566,49 +585,6 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
         )
         return None
     return model
-
-
-def _assembled(
-    arrays: dict[str, xr.DataArray],
-    values: dict[str, Floats],
-    dark: DarkModel,
-    sizes: tuple[int, int],
-    triangular: bool,
-) -> LabSweep:
-    steps, columns = sizes
-
-    def per_step(name: str, default: float) -> Floats:
-        return np.broadcast_to(values.get(name, np.float64(default)), (steps,)).astype(np.float64)
-
-    def per_line(name: str) -> Floats:
-        value = values.get(name, np.ones(()))
-        value = np.where(value > 0, value, np.nan)
-        return np.broadcast_to(value[:, None] if value.ndim == 1 else value, (steps, columns))
-
-    def scalar(name: str) -> float | None:
-        return float(np.nanmedian(values[name])) if name in values else None
-
-    return LabSweep(
-        counts=arrays["counts"],
-        variance=arrays.get("counts_variance"),
-        dark=dark,
-        wavelength=values["step_wavelength"],
-        width=per_step("monochromator_fwhm", 0.0),
-        triangular=triangular,
-        exposure=per_step("exposure_time", np.nan),
-        frames=per_step("frame_count", 1.0),
-        dark_frames=scalar("dark_frame_count"),
-        power=np.asarray(per_line("flux") * per_line("capture_fraction")),
-        etendue=np.broadcast_to(values.get("etendue", np.float64(1.0)), (columns,)).astype(np.float64),
-        saturation=values.get("saturation_count"),
-        electrons_per_count=scalar("electrons_per_count"),
-        read_noise=scalar("read_noise"),
-        absolute=all(name in arrays for name in _ABSOLUTE),
-        by_column=any(
-            name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
-        ),
-        band_shift_time=scalar("band_shift_time") or 0.0,
-    )
 
 
 #: Line shapes that a sweep distinguishes, with their numbers in the kernel.
