@@ -852,11 +852,11 @@ def fit_window(
     total = np.maximum(unit.sum(axis=1), 1e-300)
     unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
     area = np.where(is_used, window.values, 0.0).sum(axis=1) / total + unseen * parameters[:, AREA]
-    area_variance = np.where(is_used, noise.variance(np.where(is_used, values, 0.0), frames), 0.0).sum(axis=1)
-    area_variance += (
-        is_used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+    area_variance = (
+        np.where(is_used, noise.variance(np.where(is_used, values, 0.0), frames), 0.0).sum(axis=1)
+        + is_used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+        + unseen**2 * fits.covariance[:, AREA, AREA]
     )
-    area_variance += unseen**2 * fits.covariance[:, AREA, AREA]
     width = np.empty(len(values))
     full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
     return Fits(
@@ -1190,10 +1190,10 @@ def placed_lines(
     width = np.where(lamp_lines.trusted, lamp_lines.camera_width, np.nan)
     median, median_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
     with np.errstate(invalid="ignore"):
-        is_typical = misfit < PLACED_LINES.max_relative_chi2 * median
-        is_typical &= np.abs(width / median_width - 1.0) < PLACED_LINES.max_width_deviation
         return np.asarray(
-            is_typical & (distance < max(PLACED_LINES.max_misplacement_nm, 6.0 * wavelength_map.residual))
+            (misfit < PLACED_LINES.max_relative_chi2 * median)
+            & (np.abs(width / median_width - 1.0) < PLACED_LINES.max_width_deviation)
+            & (distance < max(PLACED_LINES.max_misplacement_nm, 6.0 * wavelength_map.residual))
         )
 
 
@@ -1249,8 +1249,8 @@ def complete_edge_lines(
     for step, window in enumerate(sweep_data.windows):
         if window is None:
             continue
-        is_cut = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
-        is_cut &= ~lamp_lines.trusted[step, window.columns] & ~window.saturated
+        is_beyond = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
+        is_cut = is_beyond & ~lamp_lines.trusted[step, window.columns] & ~window.saturated
         if is_cut.any():
             _complete_step(
                 lab, sweep_data.noise, lamp_lines, wavelength_map, step, window,
@@ -1588,7 +1588,27 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
             )
         windows.append(window)
         tick()
-    _check_monotone(lab, windows)
+    # lamp lines must move along the array as the wavelengths do
+    peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
+    peak_bands = np.array([band for _, band in peaks])
+    steps_of_peaks = np.diff(peak_bands)
+    reversed_steps = (
+        np.flatnonzero(steps_of_peaks * np.sign(np.median(steps_of_peaks)) < -2)
+        if len(peaks) > 2
+        else np.zeros(0, np.intp)
+    )
+    if reversed_steps.size:
+        listed_peaks = listed(
+            [
+                f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
+                for k in reversed_steps
+            ]
+        )
+        raise refused(
+            f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
+            mend="check that counts and step_wavelength belong together, in order",
+            code="steps-unordered",
+        )
     # lit columns without flux or capture fraction
     missing_flux = [
         f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
@@ -1646,27 +1666,6 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
         ), "as stated"
     # scatter includes the noise of the dark
     return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
-
-
-def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
-    peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
-    if len(peaks) < 3:
-        return
-    peak_bands = np.array([band for _, band in peaks])
-    steps_of_peaks = np.diff(peak_bands)
-    reversed_steps = np.flatnonzero(steps_of_peaks * np.sign(np.median(steps_of_peaks)) < -2)
-    if reversed_steps.size:
-        listed_peaks = listed(
-            [
-                f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
-                for k in reversed_steps
-            ]
-        )
-        raise refused(
-            f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
-            mend="check that counts and step_wavelength belong together, in order",
-            code="steps-unordered",
-        )
 
 
 def fit_steps(
