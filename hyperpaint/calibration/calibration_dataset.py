@@ -20,6 +20,7 @@ from hyperpaint.base import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
+    ELEMENT,
     MAX_STRAY_LIGHT_U,
     QUANTISATION_VARIANCE_COUNT2,
     SATURATION_MARGIN_COUNTS,
@@ -81,7 +82,6 @@ from .detector import (
     slope_shift_of_lines,
 )
 
-_ELEMENT = (BAND, CROSS_TRACK)
 #: Distance of nodes [nm]; between them, the mean of a spectrum over a band is linear in wavelength.
 NODE_SPACING_NM = 0.25
 #: Minimum share of a response inside the source's spectrum [1].
@@ -162,15 +162,14 @@ def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_sl
 
 def _check_lengths(values: dict[str, tuple[float, float]]) -> None:
     # Refuse values that are not positive, or above their limit.
-    problems = Problems("the etendue cannot be computed", SchemaError)
-    for name, (value, high) in values.items():
-        problems.add_if(
-            not 0 < value < high,
-            f"{name}={value!r}",
-            expected=f"above 0 and below {high:g}, in metres and radians",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems("the etendue cannot be computed", SchemaError) as problems:
+        for name, (value, high) in values.items():
+            problems.add_if(
+                not 0 < value < high,
+                f"{name}={value!r}",
+                expected=f"above 0 and below {high:g}, in metres and radians",
+                code="value-out-of-range",
+            )
 
 
 @takes_quantities(reflectance="1")
@@ -297,7 +296,7 @@ def anchor_to_radiance(
         for name in ("wavelength", "fwhm")
     )
     if "radiance_gain" in calibration.variables:
-        gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
+        gain = calibration["radiance_gain"].transpose(*ELEMENT).to_numpy().astype(np.float64)
         tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
     responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
     shifts = np.atleast_2d(calibration.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
@@ -327,26 +326,24 @@ def anchor_to_radiance(
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         problems.add_if(
-            not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK},
+            not set(ELEMENT) <= set(array.dims) <= {*ELEMENT, ALONG_TRACK},
             f"{array.name!r} has dims {tuple(map(str, array.dims))}",
             expected="([along_track,] band, cross_track)",
             code="dims-wrong",
         )
-        expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
-        sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
+        expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in ELEMENT}
+        sizes = {dim: array.sizes.get(dim) for dim in ELEMENT}
         problems.add_if(
             sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]},
             f"{array.name!r} has sizes {sizes}, the calibration {expected}",
             code="grid-mismatch",
         )
     problems.raise_if_any()
-    other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
+    other_dims = [dim for dim in counts.dims if dim not in ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
     dark = dark.astype(np.float64)
     dark = dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else dark
-    raw_counts, dark_counts = (
-        np.asarray(a.transpose(*_ELEMENT).to_numpy(), np.float64) for a in (mean, dark)
-    )
+    raw_counts, dark_counts = (np.asarray(a.transpose(*ELEMENT).to_numpy(), np.float64) for a in (mean, dark))
     # correction of the dark to the exposure of the frames
     if "dark_exposure_time" in frames.variables:
         dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
@@ -367,7 +364,7 @@ def anchor_to_radiance(
         limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
         is_saturated = counts >= limit - float(SATURATION_MARGIN_COUNTS)
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
-        saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
+        saturated_elements = is_saturated.transpose(*ELEMENT).to_numpy()
         if saturated_elements.any():
             warn_user(
                 f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
@@ -406,10 +403,10 @@ def _with_gain(
     outdated += [] if same_shape else ["radiance_gain_u_random"]
     rescaled = calibration.drop_vars(outdated, errors="ignore")
     if {"responsivity", "radiance_gain"} <= set(calibration.variables):
-        ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
+        ratio = calibration["radiance_gain"].transpose(*ELEMENT).astype(np.float64) / gain
         rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
     rescaled = rescaled.assign(
-        radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
+        radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     )
     good = label(xr.DataArray(is_good, dims=BAND), "good")
@@ -482,12 +479,12 @@ def calibration_from_coefficients(
     """
     units_of_gain = VARIABLES["radiance_gain"].units
     SchemaError.raise_if(
-        coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT),
+        coefficients.ndim != 2 or set(coefficients.dims) != set(ELEMENT),
         f"coefficients have dims {tuple(map(str, coefficients.dims))}",
-        expected=f"{_ELEMENT}",
+        expected=f"{ELEMENT}",
         code="dims-wrong",
     )
-    gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
+    gain = coefficients.astype(np.float64).transpose(*ELEMENT)
     units = str(coefficients.attrs.get("units", ""))
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
         if exposure_time is None or not exposure_time > 0:
@@ -682,10 +679,10 @@ def light_off_lines(
     if has_second.any():
         is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
         share = second_order[has_second]
-        level = np.interp(
+        at_bands = np.interp(
             wavelength, step_wavelength[has_second], np.maximum(share, 0.0), left=share[0], right=share[-1]
         )
-        level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
+        level = np.where(is_covered, np.maximum(at_bands, 0.0), 0.0)
         distance = (wavelength[:, None] - 2.0 * wavelength) / (1.5 * float(np.median(width)))
         shape = np.exp(-4.0 * np.log(2.0) * distance**2)
         matrix += level * shape / np.maximum(shape.sum(axis=0), 1.0)
@@ -694,8 +691,8 @@ def light_off_lines(
     modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
     scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
     offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
-    level = float(np.median(modelled))
-    relative = min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0
+    off_lines = float(np.median(modelled))
+    relative = min(float(np.hypot(scatter, offset)) / off_lines, 1.0) if off_lines > 0 else 1.0
     # share of the areas that is light scattered into the windows, beyond the background
     shares = []
     for row, band in zip(rows, source, strict=True):
@@ -938,8 +935,11 @@ class Result:
             # Scatter of the columns' median ripples like missed structure; twice that is significant. It is
             # its relative uncertainty, from differences of columns (step, column) [1]; differences that a
             # column has at all steps are subtracted.
-            with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
+            # of columns and steps that are all NaN
+            with (
+                np.errstate(invalid="ignore", divide="ignore"),
+                warnings.catch_warnings(action="ignore", category=RuntimeWarning),
+            ):
                 deviation = np.log(np.where(self.used, nodes, np.nan))
                 deviation = deviation - np.nanmedian(deviation, axis=0)
                 deviation = deviation - np.nanmedian(deviation, axis=1, keepdims=True)
@@ -953,7 +953,24 @@ class Result:
         # Return the calibration.
         gain = self.gain
         if self.lab.absolute:
-            self._check_plausible(gain)
+            # electrons out per photon in
+            photons = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
+            counts = photons / (gain * self.lab.etendue * self.spacing)
+            max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
+            electrons = self.electrons_per_count
+            low, high = (electrons, electrons) if electrons is not None else PLAUSIBLE_SWEEP.electrons_range
+            is_small, is_large = max_counts * low > 1.05, max_counts * high < 1e-3
+            if is_small or is_large:
+                share, size = (max_counts * low, "small") if is_small else (max_counts * high, "large")
+                at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
+                raise refused(
+                    f"{share:.3g} electrons out per photon in{at}, as flux x capture_fraction x "
+                    f"exposure_time is too {size}",
+                    expected="below 1" if is_small else "above 0.001",
+                    mend="check the units of flux (uW for W) and of exposure_time (ms for s), and "
+                    "capture_fraction; without an absolute scale, pass absolute=False",
+                    code="scale-implausible",
+                )
         self._warn()
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
@@ -1116,27 +1133,6 @@ class Result:
             read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
         known = {"electrons_per_count": self.electrons_per_count, "read_noise": read_noise}
         return variables | {name: value for name, value in known.items() if value is not None}
-
-    def _check_plausible(self, gain: Floats) -> None:
-        counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
-        max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
-        electrons = self.electrons_per_count
-        low, high = (electrons, electrons) if electrons is not None else PLAUSIBLE_SWEEP.electrons_range
-        at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
-        if max_counts * low > 1.05:
-            share, expected, size = max_counts * low, "below 1", "small"
-        elif max_counts * high < 1e-3:
-            share, expected, size = max_counts * high, "above 0.001", "large"
-        else:
-            return
-        raise refused(
-            f"{share:.3g} electrons out per photon in{at}, as flux x capture_fraction x exposure_time is too "
-            f"{size}",
-            expected=expected,
-            mend="check the units of flux (uW for W) and of exposure_time (ms for s), and capture_fraction; "
-            "without an absolute scale, pass absolute=False",
-            code="scale-implausible",
-        )
 
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
@@ -1339,8 +1335,11 @@ def fitted_lines(
     >>> line.wavelength, bool(abs(line.residual).max() < 0.01)
     (700.0, True)
     """
-    names = ("step_wavelength", "wavelength", "line_band", "line_own_fwhm", "line_amplitude")
-    variables = require(calibration, names, "its fitted lines")
+    variables = require(
+        calibration,
+        ("step_wavelength", "wavelength", "line_band", "line_own_fwhm", "line_amplitude"),
+        "its fitted lines",
+    )
     wavelength = variables["wavelength"].to_numpy()
     spacing = np.gradient(wavelength)
     lab = None if sweep is None else check_sweep(sweep, absolute=False)
@@ -1526,29 +1525,30 @@ def calibrate(
         None if flat_field is None else element_values(flat_field, bad.shape, "flat_field").astype(np.float64)
     )
     # the linearity curve of the arguments
-    problems = Problems("linearity= cannot be applied", SchemaError)
-    if isinstance(linearity, xr.DataArray):
-        SchemaError.raise_if(
-            linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords,
-            f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
-            expected="one, linearity_counts, with a coordinate of measured counts",
-            code="dims-wrong",
-        )
-        table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
-        table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
-        curve = linearity_of(table.assign_attrs(linearity_on=linearity_on))
-    elif isinstance(linearity, xr.Dataset):
-        curve = linearity_of(linearity.assign_attrs(linearity_on=linearity_on))
-        problems.add_if(
-            curve.basis is not None and curve.weights.shape[1:] != lab.shape[1:],
-            f"'linearity_map' has shape {np.shape(curve.weights)}",
-            expected=f"(linearity_term, band, cross_track), the last two {lab.shape[1:]}",
-            code="length-mismatch",
-        )
-    else:
-        curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": linearity_on}))
-    curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
-    problems.raise_if_any()
+    with Problems("linearity= cannot be applied", SchemaError) as problems:
+        if isinstance(linearity, xr.DataArray):
+            SchemaError.raise_if(
+                linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords,
+                f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
+                expected="one, linearity_counts, with a coordinate of measured counts",
+                code="dims-wrong",
+            )
+            table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
+            table["linearity_counts"] = label(
+                table["linearity_counts"].astype(np.float64), "linearity_counts"
+            )
+            curve = linearity_of(table.assign_attrs(linearity_on=linearity_on))
+        elif isinstance(linearity, xr.Dataset):
+            curve = linearity_of(linearity.assign_attrs(linearity_on=linearity_on))
+            problems.add_if(
+                curve.basis is not None and curve.weights.shape[1:] != lab.shape[1:],
+                f"'linearity_map' has shape {np.shape(curve.weights)}",
+                expected=f"(linearity_term, band, cross_track), the last two {lab.shape[1:]}",
+                code="length-mismatch",
+            )
+        else:
+            curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": linearity_on}))
+        curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
     # first fits: centres of lamp lines, and a rough wavelength map
     sweep_data = read_lines(lab, bad, curve, flat_factors, tick)
     windows = sweep_data.windows
