@@ -169,8 +169,11 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     dataset = rename_to_roles(dataset)
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
-    names = ["wavelength", "reflectance", *(n for n in ("wavelength_shift",) if n in dataset.variables)]
-    arrays = require(dataset, names, "the oxygen residual")
+    arrays = require(
+        dataset,
+        ["wavelength", "reflectance", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
+        "the oxygen residual",
+    )
     cube = arrays["reflectance"]
     shift = arrays["wavelength_shift"].values if "wavelength_shift" in arrays else 0.0
     wavelengths = arrays["wavelength"].values[:, None] + np.broadcast_to(
@@ -278,8 +281,9 @@ class Declared:
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
         # Return the declarations of a dataset; SchemaError if any are missing.
-        names = [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)]
-        arrays = require(dataset, names, "the alignment")
+        arrays = require(
+            dataset, [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)], "the alignment"
+        )
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength, fwhm = values["wavelength"], values["fwhm"]
         slope = (
@@ -639,8 +643,12 @@ def fit_columns(
         last_step = np.clip(np.linalg.solve(matrix, vector[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
         best = np.clip(best + last_step[:, 0], -max_shift, max_shift)
         factor = np.clip(factor + last_step[:, 1], FACTORS[0], FACTORS[-1])
-    at_limit = (np.abs(best) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
-    at_limit |= (np.abs(last_step) > 1e-3).any(axis=1)
+    at_limit = (
+        (np.abs(best) >= max_shift)
+        | (factor <= FACTORS[0])
+        | (factor >= FACTORS[-1])
+        | (np.abs(last_step) > 1e-3).any(axis=1)
+    )
     departure = ratio.departure(tilt, best, factor)
     zero, one = np.zeros_like(best), np.ones_like(best)
     departure_declared = ratio.departure(ratio.tilt(tilt, zero, one), zero, one)
@@ -660,9 +668,11 @@ def fit_columns(
         factor_u = np.where(has_structure, np.sqrt(variance * by_shift / determinant), np.inf)
         common = np.where(has_structure, -mixed / np.sqrt(by_shift * by_factor), 0.0) * shift_u * factor_u
     covariance = np.moveaxis(np.array([[shift_u**2, common], [common, factor_u**2]]), -1, 0)
-    flag = np.where(has_bands & np.isfinite(best), 0, FLAGS["no_data"])
-    flag |= np.where(at_limit & has_bands, FLAGS["at_limit"], 0)
-    flag |= np.where(gain > MAX_NOISE_GAIN, FLAGS["record_too_coarse"], 0)
+    flag = (
+        np.where(has_bands & np.isfinite(best), 0, FLAGS["no_data"])
+        | np.where(at_limit & has_bands, FLAGS["at_limit"], 0)
+        | np.where(gain > MAX_NOISE_GAIN, FLAGS["record_too_coarse"], 0)
+    )
     estimate = Estimate(
         value=np.where(has_bands[:, None], np.stack([best, factor], axis=1), np.nan),
         covariance=np.where(has_bands[:, None, None], covariance, np.nan),
@@ -701,29 +711,30 @@ def _is_inside(declared: Declared, low: float, high: float) -> Array:
 
 def checked_windows(window: Any) -> list[Window]:
     # Return the windows in the order passed; SchemaError for invalid ones.
-    problems = Problems(f"window={window!r} cannot be used", SchemaError)
-    try:
-        limits = np.asarray(window, np.float64)
-    except (TypeError, ValueError):  # texts, or pairs of unlike lengths
-        limits = np.empty(0)
-    if limits.ndim not in (1, 2) or limits.shape[-1] != 2 or not limits.size:
-        problems.add(
-            "it is not a pair of numbers",
-            expected="a lowest and a highest wavelength in nm, or several such pairs",
-            code="window-unreadable",
-        )
-        problems.raise_if_any()
-    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(limits)]
-    for low, high in pairs:
-        problems.add_if(
-            not (np.isfinite([low, high]).all() and low < high),
-            f"({low:g}, {high:g})",
-            expected="a lowest wavelength below the highest",
-            code="window-reversed",
-        )
-    for (_, high), (low, _) in itertools.pairwise(sorted(pairs)):
-        problems.add_if(low < high, f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
-    problems.raise_if_any()
+    with Problems(f"window={window!r} cannot be used", SchemaError) as problems:
+        try:
+            limits = np.asarray(window, np.float64)
+        except (TypeError, ValueError):  # texts, or pairs of unlike lengths
+            limits = np.empty(0)
+        if limits.ndim not in (1, 2) or limits.shape[-1] != 2 or not limits.size:
+            problems.add(
+                "it is not a pair of numbers",
+                expected="a lowest and a highest wavelength in nm, or several such pairs",
+                code="window-unreadable",
+            )
+            problems.raise_if_any()
+        pairs = [(float(low), float(high)) for low, high in np.atleast_2d(limits)]
+        for low, high in pairs:
+            problems.add_if(
+                not (np.isfinite([low, high]).all() and low < high),
+                f"({low:g}, {high:g})",
+                expected="a lowest wavelength below the highest",
+                code="window-reversed",
+            )
+        for (_, high), (low, _) in itertools.pairwise(sorted(pairs)):
+            problems.add_if(
+                low < high, f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap"
+            )
     return pairs
 
 
@@ -921,16 +932,15 @@ def align_to_irradiance(
     # Which bands are good and inside each window (band,); SchemaError for too few.
     inside_windows = [_is_inside(declared, low, high) for low, high in windows]
     fewest = fewest_bands(degree)
-    problems = Problems("the line cannot be aligned", SchemaError)
-    for (low, high), is_inside in zip(windows, inside_windows, strict=True):
-        problems.add_if(
-            is_inside.sum() < fewest,
-            f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
-            expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
-            mend="widen the window or lower degree=",
-            code="bands-too-few",
-        )
-    problems.raise_if_any()
+    with Problems("the line cannot be aligned", SchemaError) as problems:
+        for (low, high), is_inside in zip(windows, inside_windows, strict=True):
+            problems.add_if(
+                is_inside.sum() < fewest,
+                f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
+                expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
+                mend="widen the window or lower degree=",
+                code="bands-too-few",
+            )
     light, level = mean_light(declared, windows, lines)
     used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
     selected = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
@@ -971,8 +981,9 @@ def align_to_irradiance(
         for of_bands, is_inside in zip(departures, inside_windows, strict=True):
             values[is_inside] = of_bands[number]
         report[name] = ((BAND, CROSS_TRACK), values, _attrs_of(name))
-    attrs = VARIABLES["wavelength"].attrs
-    return report.assign_coords(wavelength=(BAND, declared.wavelength, attrs)).assign_attrs(
+    return report.assign_coords(
+        wavelength=(BAND, declared.wavelength, VARIABLES["wavelength"].attrs)
+    ).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
         lines=len(level),
@@ -1004,10 +1015,13 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
     dims = ("window", CROSS_TRACK)
     report = xr.Dataset({name: (dims, values, _attrs_of(name)) for name, values in columns.items()})
     report["pixels"] = (CROSS_TRACK, pixels, _attrs_of("pixels"))
-    centre_attrs = {"units": "nm", "long_name": "Mean wavelength of the bands of a window"}
     return report.assign_coords(
         column=(CROSS_TRACK, column, {"long_name": "Column, or mean column of a group", "units": "1"}),
-        window_centre=("window", [estimate.centre for estimate in estimates], centre_attrs),
+        window_centre=(
+            "window",
+            [estimate.centre for estimate in estimates],
+            {"units": "nm", "long_name": "Mean wavelength of the bands of a window"},
+        ),
     )
 
 
@@ -1431,9 +1445,11 @@ def _covariance(
         freedom_factor = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
         by_band.append(np.add.reduceat(score.sum(axis=2), edges, axis=1).T * np.sqrt(freedom_factor))
     bands = np.concatenate(by_band)
-    meat = by_group.T @ by_group * groups / max(groups - 1, 1)
-    meat += bands.T @ bands * len(bands) / max(len(bands) - 3, 1)
-    meat += by_channel.T @ by_channel
+    meat = (
+        by_group.T @ by_group * groups / max(groups - 1, 1)
+        + bands.T @ bands * len(bands) / max(len(bands) - 3, 1)
+        + by_channel.T @ by_channel
+    )
     inverse = np.linalg.inv(matrix)
     min_variance = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
     return np.asarray((inverse @ (meat + prior) @ inverse)[:3, :3] + min_variance)
@@ -1533,8 +1549,8 @@ def align(
     """
     one_of(apply, ALIGNMENTS, "apply")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PaintWarning)  # computing the line itself warns
+        # computing the line itself warns
+        with warnings.catch_warnings(action="ignore", category=PaintWarning):
             comparison = compared(line, rules)
     except (PaintError, OSError) as error:  # processing of the line raises it again
         return _not_compared(line, str(error).splitlines()[0])
@@ -1801,7 +1817,26 @@ def _trials(channels: tuple[float, ...]) -> tuple[Floats, Floats, Floats, Floats
     log_sun = np.empty((shifts.size, widths.size, wavelength.size))
     basis = np.zeros((*log_sun.shape, smooth.shape[1] + 2))
     for j, width in enumerate(widths):
-        log_sun[:, j], gases = _log_light(wavelength + shifts[:, None], float(width))
+        # logarithms of the table (shift, channel) of the sun above the air, and the changes by two gases
+        # (gas, shift, channel), at air mass 1.5 and 1.4 cm of water
+        table, tables_of_gases = sunlight_table(), disort_tables()
+        wavelengths, band_width = wavelength + shifts[:, None], float(width)
+        from_mean = np.abs(table.wavelength - wavelengths.mean(axis=1, keepdims=True))
+        half_span = np.ptp(wavelengths, axis=1, keepdims=True) / 2.0
+        is_near = from_mean < half_span + 3.0 * band_width  # (shift, cell)
+        cells = is_near.any(axis=0)
+        squared_width = max(band_width**2 - 8.0 * np.log(2.0) * SUN_LINES.cell_nm**2 / 12.0, 0.25)
+        offset = table.wavelength[cells] - wavelengths[..., None]
+        response = np.exp(-4.0 * np.log(2.0) / squared_width * offset**2) * is_near[:, None, cells]
+        response /= response.sum(axis=2, keepdims=True)
+        sun = table.extraterrestrial[cells]
+        oxygen, water = (
+            np.interp(table.wavelength[cells], tables_of_gases["line"], tables_of_gases[name][place])
+            for name, place in (("oxygen_depth", np.s_[:, 1]), ("water_depth", np.s_[:, 1, 3]))
+        )
+        lights = np.stack([sun, sun * np.exp(-oxygen), sun * np.exp(-water)], axis=-1)
+        logs = np.moveaxis(np.log(response @ lights), -1, 0)
+        log_sun[:, j], gases = logs[0], logs[1:] - logs[0]
         has_lines = np.ptp(gases, axis=2) > 1e-4  # (gas, shift)
         for group in itertools.product((False, True), repeat=len(gases)):
             shifts_of_group = np.flatnonzero((has_lines == np.array(group)[:, None]).all(axis=0))
@@ -1811,27 +1846,6 @@ def _trials(channels: tuple[float, ...]) -> tuple[Floats, Floats, Floats, Floats
             )
             basis[shifts_of_group, j, :, : terms_of_group.shape[-1]] = np.linalg.qr(terms_of_group)[0]
     return shifts, widths, log_sun, basis
-
-
-def _log_light(wavelengths: Floats, width: float) -> tuple[Floats, Floats]:
-    # Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width:
-    # of the sun above the air, and the changes by two gases (gas, shift, channel).
-    table, gases = sunlight_table(), disort_tables()  # gases at air mass 1.5 and 1.4 cm of water
-    from_mean = np.abs(table.wavelength - wavelengths.mean(axis=1, keepdims=True))
-    is_near = from_mean < np.ptp(wavelengths, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
-    cells = is_near.any(axis=0)
-    squared_width = max(width**2 - 8.0 * np.log(2.0) * SUN_LINES.cell_nm**2 / 12.0, 0.25)
-    offset = table.wavelength[cells] - wavelengths[..., None]
-    response = np.exp(-4.0 * np.log(2.0) / squared_width * offset**2) * is_near[:, None, cells]
-    response /= response.sum(axis=2, keepdims=True)
-    sun = table.extraterrestrial[cells]
-    oxygen, water = (
-        np.interp(table.wavelength[cells], gases["line"], gases[name][place])
-        for name, place in (("oxygen_depth", np.s_[:, 1]), ("water_depth", np.s_[:, 1, 3]))
-    )
-    lights = np.stack([sun, sun * np.exp(-oxygen), sun * np.exp(-water)], axis=-1)
-    logs = np.moveaxis(np.log(response @ lights), -1, 0)
-    return logs[0], logs[1:] - logs[0]
 
 
 # --- apply wavelengths and widths measured in flight to a flight line --------------------------------------
@@ -1932,19 +1946,21 @@ def apply_alignment(
     problems.raise_if_any()
     windows = windows.transpose(_WINDOW, ...)
     is_reliable = windows["flag"].values == 0
-    problems = Problems("the alignment cannot be applied", SchemaError)
-    if windows.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(windows["column"].max()) <= columns - 1:
-        problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
-    problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")
-    for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
-        problems.add_if(
-            number < degree + 1,
-            f"{number} of {is_reliable.shape[1]} columns are reliable at {centre:.0f} nm",
-            expected=f"at least {degree + 1} for a polynomial of degree {degree}",
-            mend="see 'flag', or average groups of columns",
-            code="columns-too-few",
-        )
-    problems.raise_if_any()
+    with Problems("the alignment cannot be applied", SchemaError) as problems:
+        if (
+            windows.sizes[BAND] != dataset.sizes[BAND]
+            or not -0.5 < float(windows["column"].max()) <= columns - 1
+        ):
+            problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
+        problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")
+        for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
+            problems.add_if(
+                number < degree + 1,
+                f"{number} of {is_reliable.shape[1]} columns are reliable at {centre:.0f} nm",
+                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
+                mend="see 'flag', or average groups of columns",
+                code="columns-too-few",
+            )
     # correction of the shift (window, column) [nm], and mean width factor (window,)
     smoothed = [
         _smoothed(windows.isel(window=w, **{CROSS_TRACK: is_reliable[w]}), columns, degree)
@@ -2008,8 +2024,13 @@ def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, fl
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
     # Return a line without products that depend on wavelengths: reflectance and panel results.
-    uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
-    names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
+    names = (
+        "reflectance",
+        "coarse_reflectance",
+        "reflectance_u_random",
+        "reflectance_u_systematic",
+        "irradiance_misfit",
+    )
     return dataset.drop_vars(
         [name for name in dataset.variables if name in names or str(name).startswith("panel_")]
     )
