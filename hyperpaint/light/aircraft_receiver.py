@@ -13,6 +13,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from hyperpaint.base import (
+    ANGLES,
     IRRADIANCE_TIME,
     Array,
     Convention,
@@ -31,7 +32,6 @@ from .diffuse_record import SKY_STATES, split_of_arrays
 from .illumination import channels_of, check_irradiance_times
 from .sun import diffuse_fraction, solar_position
 
-_ANGLES = ("roll", "pitch", "heading")
 _POSITION = ("latitude", "longitude")
 _TIME_NAMES = ("time", "navigation_time", IRRADIANCE_TIME)
 #: Wavelengths of the split into direct and diffuse light [nm], which is smooth between them.
@@ -196,47 +196,46 @@ def level_irradiance(
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
     channels = channels_of(record)
-    problems = Problems("the light sensor cannot be levelled", SchemaError)
-    missing = [name for name in (*_ANGLES, *_POSITION) if name not in attitude.variables]
-    time_name = next((name for name in _TIME_NAMES if name in attitude.variables), None)
-    problems.add_if(
-        missing or time_name is None,
-        f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
-        code="variable-missing",
-    )
-    problems.add_if(
-        np.shape(mounting) != (3,) or not np.isfinite(mounting).all(),
-        f"mounting={mounting!r}",
-        expected="roll, pitch and heading [degree]",
-        code="angles-unreadable",
-    )
-    problems.add_if(
-        not 0.0 <= ground_reflectance <= 1.0,
-        f"ground_reflectance={ground_reflectance!r}",
-        expected="0 to 1",
-        code="value-out-of-range",
-    )
-    # incidence [degree] and response relative to the cosine law [1]
-    response = np.array([0.0, 90.0]), np.ones(2)
-    if cosine_response is not None and "incidence" not in getattr(cosine_response, "coords", ()):
-        problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
-    elif cosine_response is not None:
-        incidence, values = response = (
-            np.asarray(cosine_response["incidence"].values, np.float64),
-            np.asarray(cosine_response.values, np.float64),
+    with Problems("the light sensor cannot be levelled", SchemaError) as problems:
+        missing = [name for name in (*ANGLES, *_POSITION) if name not in attitude.variables]
+        time_name = next((name for name in _TIME_NAMES if name in attitude.variables), None)
+        problems.add_if(
+            missing or time_name is None,
+            f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
+            code="variable-missing",
         )
         problems.add_if(
-            values.ndim != 1
-            or (np.diff(incidence) <= 0).any()
-            or not ((values > 0.0) & (values < 2.0)).all(),
-            "cosine_response is out of range, or its incidences do not increase",
-            expected="0 to 2, relative to the cosine law",
-            code="cosine-response-invalid",
+            np.shape(mounting) != (3,) or not np.isfinite(mounting).all(),
+            f"mounting={mounting!r}",
+            expected="roll, pitch and heading [degree]",
+            code="angles-unreadable",
         )
-    problems.raise_if_any()
+        problems.add_if(
+            not 0.0 <= ground_reflectance <= 1.0,
+            f"ground_reflectance={ground_reflectance!r}",
+            expected="0 to 1",
+            code="value-out-of-range",
+        )
+        # incidence [degree] and response relative to the cosine law [1]
+        response = np.array([0.0, 90.0]), np.ones(2)
+        if cosine_response is not None and "incidence" not in getattr(cosine_response, "coords", ()):
+            problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
+        elif cosine_response is not None:
+            incidence, values = response = (
+                np.asarray(cosine_response["incidence"].values, np.float64),
+                np.asarray(cosine_response.values, np.float64),
+            )
+            problems.add_if(
+                values.ndim != 1
+                or (np.diff(incidence) <= 0).any()
+                or not ((values > 0.0) & (values < 2.0)).all(),
+                "cosine_response is out of range, or its incidences do not increase",
+                expected="0 to 2, relative to the cosine law",
+                code="cosine-response-invalid",
+            )
     # angles in the canonical convention
     convention = Convention.from_attrs(attitude.attrs) or Convention()
-    angles = [attitude[name] for name in _ANGLES]
+    angles = [attitude[name] for name in ANGLES]
     if all("units" in angle.attrs for angle in angles):
         angles = [convert(angle, "degree") for angle in angles]
         convention = convention.replace(angle_unit="degree")

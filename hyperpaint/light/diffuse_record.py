@@ -112,19 +112,22 @@ def diffuse_from_record(
     variables = require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     channels = channels_of(record)
-    problems = Problems("the split of irradiance is not known", SchemaError)
-    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
-    for is_valid, found, expected in (
-        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
-        (
-            0.0 < calibration_uncertainty <= 1.0,
-            f"calibration_uncertainty={calibration_uncertainty!r}",
-            "above 0, at most 1",
-        ),
-        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
-    ):
-        problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
-    problems.raise_if_any()
+    with Problems("the split of irradiance is not known", SchemaError) as problems:
+        is_finite = np.isfinite(latitude) and np.isfinite(longitude)
+        for is_valid, found, expected in (
+            (
+                is_finite,
+                f"latitude {latitude}, longitude {longitude}",
+                "the place of the receiver in degrees",
+            ),
+            (
+                0.0 < calibration_uncertainty <= 1.0,
+                f"calibration_uncertainty={calibration_uncertainty!r}",
+                "above 0, at most 1",
+            ),
+            (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
+        ):
+            problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     SchemaError.raise_if(
         not windows_in(channels).centre.size,
@@ -589,33 +592,6 @@ def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -
     return np.log((direct + diffuse).mean(axis=2)), node_diffuse / (node_direct + node_diffuse)
 
 
-def _other_sun_posterior(
-    evidence: Evidence, windows: Windows, pressure: float
-) -> tuple[Floats, Floats, Floats]:
-    # Return the posterior of clear air if the sun were at other zenith angles than clock and position give:
-    # logarithm of the evidence (sample,), mean of the diffuse fraction (sample, node), and of its square.
-    centres = tuple(map(float, windows.centre))
-    shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
-    log, mean, square = np.empty(shape), *np.empty((2, *shape, NODES_NM.size))
-    for number, zenith in enumerate(_OTHER_SUNS_DEG):
-        level, fraction = _clear_air(float(zenith), pressure, centres)
-        chi, log_norm = _chi_square(evidence.level, level, centres, float(evidence.level_u))
-        lowest = chi.min(axis=1)
-        weight = np.exp(-0.5 * (chi - lowest[:, None]))
-        total = weight.sum(axis=1)
-        log[:, number] = np.log(total / len(level)) - 0.5 * lowest - log_norm
-        mean[:, number] = weight @ fraction / total[:, None]
-        square[:, number] = weight @ fraction**2 / total[:, None]
-    # average over the other suns, without those near the sun of the clock
-    log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
-    best = log.max(axis=1)
-    share = np.exp(log - best[:, None])
-    total = share.sum(axis=1)
-    share = (share / total[:, None])[..., None]
-    means = (share * mean).sum(axis=1), (share * square).sum(axis=1)
-    return best + np.log(total / _OTHER_SUNS_DEG.size), *means
-
-
 def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, Floats, Floats, Floats]:
     # Return the posterior over the drawn skies, each weighted by how well it explains a sample.
     #
@@ -659,7 +635,28 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     )
     if (probability[:, :2].sum(axis=1) < RULES.decided).any():
         # a spectrum that no clear sky explains now may be explained by a clear sky at another hour
-        log, mean, mean_square = _other_sun_posterior(evidence, windows, pressure)
+        # the posterior of clear air if the sun were at other zenith angles than clock and position give:
+        # logarithm of the evidence (sample,), mean of the diffuse fraction (sample, node), and of its square
+        centres = tuple(map(float, windows.centre))
+        shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
+        log, mean, squares = np.empty(shape), *np.empty((2, *shape, NODES_NM.size))
+        for number, zenith in enumerate(_OTHER_SUNS_DEG):
+            levels, sky_fraction = _clear_air(float(zenith), pressure, centres)
+            chi, log_norm = _chi_square(evidence.level, levels, centres, float(evidence.level_u))
+            least = chi.min(axis=1)
+            weight = np.exp(-0.5 * (chi - least[:, None]))
+            sums = weight.sum(axis=1)
+            log[:, number] = np.log(sums / len(levels)) - 0.5 * least - log_norm
+            mean[:, number] = weight @ sky_fraction / sums[:, None]
+            squares[:, number] = weight @ sky_fraction**2 / sums[:, None]
+        # average over the other suns, without those near the sun of the clock
+        log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
+        lowest_misfit = log.max(axis=1)
+        weights = np.exp(log - lowest_misfit[:, None])
+        sums = weights.sum(axis=1)
+        weights = (weights / sums[:, None])[..., None]
+        moments = (weights * mean).sum(axis=1), (weights * squares).sum(axis=1)
+        log, mean, mean_square = lowest_misfit + np.log(sums / _OTHER_SUNS_DEG.size), *moments
         log_other_sun = _window_means(log, evidence.seconds) + variation[:, KINDS.index("air")]
         log_clock_sun = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
         is_other_sun = 1.0 / (1.0 + np.exp(np.clip(log_clock_sun - log_other_sun, -500.0, 500.0)))[:, None]
