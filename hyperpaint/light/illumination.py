@@ -96,18 +96,19 @@ def line_light(
     lines = np.asarray(time).astype("datetime64[ns]")
     samples = np.asarray(irradiance_time).astype("datetime64[ns]")
     check_irradiance_times(samples)
-    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
-    if max_gap is not None and not max_gap > 0:
-        problems.add(
-            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
-        )
-    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-        problems.add(
-            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
-            expected="0 or more seconds",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems("irradiance cannot be assigned to lines", SchemaError) as problems:
+        if max_gap is not None and not max_gap > 0:
+            problems.add(
+                f"'irradiance_max_gap' is {max_gap:g} s",
+                expected="a positive number",
+                code="value-out-of-range",
+            )
+        if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
+            problems.add(
+                f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
+                expected="0 or more seconds",
+                code="value-out-of-range",
+            )
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero((np.isfinite(levels) & (levels > 0.0)).all(axis=1))
     TimeError.raise_if(
@@ -217,29 +218,30 @@ def channels_of(record: xr.DataArray) -> Floats:
 
 def check_irradiance_times(samples: Array) -> None:
     # Raise TimeError unless all stamps are present and increase.
-    problems = Problems("irradiance times cannot be used", TimeError)
-    problems.add_if(not samples.size, "irradiance_time has size 0: no sample is selected", code="empty-input")
-    problems.add_if(
-        np.isnat(samples).any(),
-        f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
-        mend="drop them",
-        code="time-missing",
-    )
-    steps = np.diff(samples.astype(np.int64))
-    same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
-    if same.size:
-        problems.add(
-            f"{same.size} duplicate stamps, first {samples[same[0]]}",
-            mend="keep one spectrum of each",
-            code="time-duplicate",
+    with Problems("irradiance times cannot be used", TimeError) as problems:
+        problems.add_if(
+            not samples.size, "irradiance_time has size 0: no sample is selected", code="empty-input"
         )
-    if back.size:
-        problems.add(
-            f"stamps run backwards at {samples[back[0] + 1]}",
-            mend="sort them with .sortby('irradiance_time')",
-            code="time-unordered",
+        problems.add_if(
+            np.isnat(samples).any(),
+            f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
+            mend="drop them",
+            code="time-missing",
         )
-    problems.raise_if_any()
+        steps = np.diff(samples.astype(np.int64))
+        same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
+        if same.size:
+            problems.add(
+                f"{same.size} duplicate stamps, first {samples[same[0]]}",
+                mend="keep one spectrum of each",
+                code="time-duplicate",
+            )
+        if back.size:
+            problems.add(
+                f"stamps run backwards at {samples[back[0] + 1]}",
+                mend="sort them with .sortby('irradiance_time')",
+                code="time-unordered",
+            )
 
 
 def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
@@ -338,30 +340,29 @@ class Tilt:
     sky: str | None = None
 
     def __post_init__(self) -> None:
-        problems = Problems("the tilt of the surface is out of range", SchemaError)
-        problems.add_if(
-            not 0.0 <= self.angle <= 90.0,
-            f"angle {self.angle:g}",
-            expected="0 to 90 degrees from level",
-            code="value-out-of-range",
-        )
-        problems.add_if(
-            not is_number(self.azimuth),
-            f"azimuth {self.azimuth}",
-            expected="degrees clockwise from north",
-            code="value-out-of-range",
-        )
-        for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
-            value = getattr(self, name)
+        with Problems("the tilt of the surface is out of range", SchemaError) as problems:
             problems.add_if(
-                value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all(),
-                f"{name} {value}",
-                expected="0 to 1",
+                not 0.0 <= self.angle <= 90.0,
+                f"angle {self.angle:g}",
+                expected="0 to 90 degrees from level",
                 code="value-out-of-range",
             )
-        if self.sky is not None:
-            one_of(self.sky, ("clear", "uniform"), "sky", problems=problems)
-        problems.raise_if_any()
+            problems.add_if(
+                not is_number(self.azimuth),
+                f"azimuth {self.azimuth}",
+                expected="degrees clockwise from north",
+                code="value-out-of-range",
+            )
+            for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
+                value = getattr(self, name)
+                problems.add_if(
+                    value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all(),
+                    f"{name} {value}",
+                    expected="0 to 1",
+                    code="value-out-of-range",
+                )
+            if self.sky is not None:
+                one_of(self.sky, ("clear", "uniform"), "sky", problems=problems)
         if self.sky is None:
             object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")
 
@@ -424,13 +425,19 @@ class Smile:
         if self.nodes.size == 1:
             return np.swapaxes(series, -1, -2)[..., None]
         c_before, c_low, c_high, c_after = (series[..., k : self.nodes.size - 3 + k, :] for k in range(4))
-        coefficients = (
-            c_low,
-            -c_before / 3 - c_low / 2 + c_high - c_after / 6,
-            c_before / 2 - c_low + c_high / 2,
-            -c_before / 6 + c_low / 2 - c_high / 2 + c_after / 6,
+        return np.moveaxis(
+            np.stack(
+                (
+                    c_low,
+                    -c_before / 3 - c_low / 2 + c_high - c_after / 6,
+                    c_before / 2 - c_low + c_high / 2,
+                    -c_before / 6 + c_low / 2 - c_high / 2 + c_after / 6,
+                ),
+                axis=-1,
+            ),
+            -3,
+            -2,
         )
-        return np.moveaxis(np.stack(coefficients, axis=-1), -3, -2)
 
 
 def smile_cells(wavelength_shift: ArrayLike | None, columns: int) -> Smile:
@@ -737,8 +744,7 @@ def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
     # matching is linear: match the mean, and the noise of one channel at a time
     noise = mean * np.broadcast_to(np.asarray(arrays.get("irradiance_u_random", 0.0), np.float64), mean.shape)
     channels = np.asarray(arrays["irradiance_wavelength"], np.float64)
-    with warnings.catch_warnings():  # the plan warns
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):  # the plan warns
         matched, _ = matched_series(
             np.concatenate([mean[None], np.diag(noise)]),
             channels,

@@ -54,40 +54,41 @@ class Responses:
     def __post_init__(self) -> None:
         wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
-        problems = Problems("spectral responses cannot be used", SchemaError)
-        one_of(self.shape, SRF_SHAPES, "line shape", problems=problems)
-        problems.add_if(not np.isfinite(wavelength).all(), "wavelengths are not finite", code="not-finite")
-        problems.add_if(
-            self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()),
-            "'fwhm' is not finite and positive",
-            expected="widths in nm",
-            code="fwhm-invalid",
-        )
-        if self.shape == "tabulated" and (self.offset is None or self.table is None):
-            problems.add(
-                "line shape 'tabulated' without its table",
-                expected="'srf' (band, srf_offset) and 'srf_offset' [nm]",
-                code="variable-missing",
-            )
-        elif self.shape == "tabulated":
-            offset, table = np.asarray(self.offset), np.asarray(self.table)
-            if table.shape != (wavelength.size, offset.size):
-                problems.add(
-                    f"'srf' has shape {table.shape}",
-                    expected=f"({wavelength.size}, {offset.size}): (band, srf_offset)",
-                    code="length-mismatch",
-                )
-            elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
-                problems.add(
-                    "a row of 'srf' is not finite or has no positive sum", code="response-table-invalid"
-                )
+        with Problems("spectral responses cannot be used", SchemaError) as problems:
+            one_of(self.shape, SRF_SHAPES, "line shape", problems=problems)
             problems.add_if(
-                offset.size < 3 or not (np.diff(offset) > 0).all(),
-                "'srf_offset' does not increase or is too short",
-                expected="three or more values in nm",
-                code="response-table-invalid",
+                not np.isfinite(wavelength).all(), "wavelengths are not finite", code="not-finite"
             )
-        problems.raise_if_any()
+            problems.add_if(
+                self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()),
+                "'fwhm' is not finite and positive",
+                expected="widths in nm",
+                code="fwhm-invalid",
+            )
+            if self.shape == "tabulated" and (self.offset is None or self.table is None):
+                problems.add(
+                    "line shape 'tabulated' without its table",
+                    expected="'srf' (band, srf_offset) and 'srf_offset' [nm]",
+                    code="variable-missing",
+                )
+            elif self.shape == "tabulated":
+                offset, table = np.asarray(self.offset), np.asarray(self.table)
+                if table.shape != (wavelength.size, offset.size):
+                    problems.add(
+                        f"'srf' has shape {table.shape}",
+                        expected=f"({wavelength.size}, {offset.size}): (band, srf_offset)",
+                        code="length-mismatch",
+                    )
+                elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
+                    problems.add(
+                        "a row of 'srf' is not finite or has no positive sum", code="response-table-invalid"
+                    )
+                problems.add_if(
+                    offset.size < 3 or not (np.diff(offset) > 0).all(),
+                    "'srf_offset' does not increase or is too short",
+                    expected="three or more values in nm",
+                    code="response-table-invalid",
+                )
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", fwhm)
         if self.shape == "slit":
