@@ -375,39 +375,38 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     variables, faults = find(
         library, [name for name in required if name not in plain_numbers], LIBRARY_VARIABLES
     )
-    problems = Problems("the library cannot be written", SchemaError)
-    problems.extend(faults)
-    for name, array in variables.items():
-        dtype = LIBRARY_VARIABLES[name].dtype
-        kind = np.dtype("object" if dtype == "str" else dtype).kind
-        problems.add_if(
-            array.dtype.kind not in {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind),
-            f"{name!r} is {array.dtype}",
-            expected=str(dtype),
-            code="type-wrong",
+    with Problems("the library cannot be written", SchemaError) as problems:
+        problems.extend(faults)
+        for name, array in variables.items():
+            dtype = LIBRARY_VARIABLES[name].dtype
+            kind = np.dtype("object" if dtype == "str" else dtype).kind
+            problems.add_if(
+                array.dtype.kind not in {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind),
+                f"{name!r} is {array.dtype}",
+                expected=str(dtype),
+                code="type-wrong",
+            )
+            problems.add_if(
+                name in ("wavelength", "fwhm", "good") and array.dims != (BAND,),
+                f"{name!r} has dims {array.dims}",
+                expected="one value a band",
+                code="dims-wrong",
+            )
+        if CENTRE in variables and not variables[CENTRE].size:
+            problems.add(
+                f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
+                expected="at least one paint and one band",
+                code="empty-input",
+            )
+        problems.extend(
+            Problem(
+                f"{key!r} has dims {variable.dims}",
+                expected="at most one dim beside signature and band",
+                code="dims-wrong",
+            )
+            for key, variable in library.variables.items()
+            if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3
         )
-        problems.add_if(
-            name in ("wavelength", "fwhm", "good") and array.dims != (BAND,),
-            f"{name!r} has dims {array.dims}",
-            expected="one value a band",
-            code="dims-wrong",
-        )
-    if CENTRE in variables and not variables[CENTRE].size:
-        problems.add(
-            f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
-            expected="at least one paint and one band",
-            code="empty-input",
-        )
-    problems.extend(
-        Problem(
-            f"{key!r} has dims {variable.dims}",
-            expected="at most one dim beside signature and band",
-            code="dims-wrong",
-        )
-        for key, variable in library.variables.items()
-        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3
-    )
-    problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     SchemaError.raise_if(
         not (np.isfinite(wavelength).all() and (wavelength > 0).all()),
@@ -422,20 +421,19 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 def names_of(library: xr.Dataset) -> list[str]:
     # Return the names of the paints.
     # Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
-    problems = Problems("the library cannot be written", SchemaError)
-    names: list[Any] = library[SIGNATURE].values.tolist()
-    for at, name in enumerate(names):
-        if not isinstance(name, str):
-            problems.add(f"paint {at} is named {name!r}", expected="text", code="type-wrong")
-        elif any(unicodedata.category(character) in _CONTROL for character in name):
-            problems.add(
-                f"paint {at} is named {name[:60]!r}",
-                expected="no line breaks or control characters",
-                code="name-unwritable",
-            )
-        if len(problems) == _MAX_SHOWN:
-            break
-    problems.raise_if_any()
+    with Problems("the library cannot be written", SchemaError) as problems:
+        names: list[Any] = library[SIGNATURE].values.tolist()
+        for at, name in enumerate(names):
+            if not isinstance(name, str):
+                problems.add(f"paint {at} is named {name!r}", expected="text", code="type-wrong")
+            elif any(unicodedata.category(character) in _CONTROL for character in name):
+                problems.add(
+                    f"paint {at} is named {name[:60]!r}",
+                    expected="no line breaks or control characters",
+                    code="name-unwritable",
+                )
+            if len(problems) == _MAX_SHOWN:
+                break
     return names
 
 
@@ -773,43 +771,48 @@ def _with_metadata(
 ) -> xr.Dataset:
     # Spectra (signature, band) or (signature, number, band), and their metadata as a library
     rows = LIBRARY_VARIABLES
-    problems = Problems(f"{source} and its metadata belong to different libraries", FormatError)
-    library = xr.Dataset(attrs={"title": "Spectral library", "source": source}) if about is None else about
-    spectra = {}
-    for name, values in data.items():
-        row = rows.get(name)
-        dims: tuple[Any, ...] = (SIGNATURE, *[f"place_of_{name}"] * (values.ndim - 2), BAND)
-        attrs: Mapping[Any, Any] = {}
-        if name in library.variables:
-            dims, attrs = library[name].dims, library[name].attrs
-        elif row is not None and len(row.dims) == values.ndim:
-            dims, attrs = row.dims, row.attrs
-        if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
-            problems.add(
-                f"{name!r} has {values.ndim} dims", expected=f"{dims}, as in the metadata", code="dims-wrong"
-            )
-        elif values.ndim == 3:
-            # restore the padding of the members, unless it is out of proportion
-            members = values.shape[1]
-            size = library.sizes.get(dims[1], members)
-            if members < size <= 8 * max(members, 8):
-                values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
-        spectra[name] = (dims, values, dict(attrs))
-    problems.extend(
-        Problem(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
-        for missing in [name for name in spectral_variables(library) if name not in data]
-    )
-    coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
-    coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
-    for name, (_, values, _) in coords.items():
-        known = library.variables.get(name)
-        problems.add_if(
-            name != SIGNATURE and known is not None and not np.array_equal(known.values, values),
-            f"{name!r} of the file and of the metadata differ",
-            mend="put the files of one library together",
-            code="grid-mismatch",
+    with Problems(f"{source} and its metadata belong to different libraries", FormatError) as problems:
+        library = (
+            xr.Dataset(attrs={"title": "Spectral library", "source": source}) if about is None else about
         )
-    problems.raise_if_any()
+        spectra = {}
+        for name, values in data.items():
+            row = rows.get(name)
+            dims: tuple[Any, ...] = (SIGNATURE, *[f"place_of_{name}"] * (values.ndim - 2), BAND)
+            attrs: Mapping[Any, Any] = {}
+            if name in library.variables:
+                dims, attrs = library[name].dims, library[name].attrs
+            elif row is not None and len(row.dims) == values.ndim:
+                dims, attrs = row.dims, row.attrs
+            if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
+                problems.add(
+                    f"{name!r} has {values.ndim} dims",
+                    expected=f"{dims}, as in the metadata",
+                    code="dims-wrong",
+                )
+            elif values.ndim == 3:
+                # restore the padding of the members, unless it is out of proportion
+                members = values.shape[1]
+                size = library.sizes.get(dims[1], members)
+                if members < size <= 8 * max(members, 8):
+                    values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
+            spectra[name] = (dims, values, dict(attrs))
+        problems.extend(
+            Problem(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
+            for missing in [name for name in spectral_variables(library) if name not in data]
+        )
+        coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
+        coords |= {
+            name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None
+        }
+        for name, (_, values, _) in coords.items():
+            known = library.variables.get(name)
+            problems.add_if(
+                name != SIGNATURE and known is not None and not np.array_equal(known.values, values),
+                f"{name!r} of the file and of the metadata differ",
+                mend="put the files of one library together",
+                code="grid-mismatch",
+            )
     own_coords = {name: coord for name, coord in coords.items() if name not in library.variables}
     try:
         return library.assign(spectra).assign_coords(own_coords)
@@ -1537,23 +1540,22 @@ def _table(
     # first_line: Index of the first line of numbers. columns: Number of columns. numbers_of: Function that
     # returns the numbers of a line, None for other text; by default numbers are separated by blanks. Raises
     # FormatError: Lines contain other text; the first of them are listed.
-    problems = Problems(f"{source} cannot be read", FormatError)
-    rows = []
-    for at, line in enumerate(lines[first_line:], first_line + 1):
-        if not line.strip():
-            continue
-        row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
-        if row is None or len(row) != columns:
-            problems.add(
-                f"line {at}: {line.strip()[:60]!r}",
-                expected=f"{columns} number{'s'[: columns - 1]}",
-                code="row-unreadable",
-            )
-            if len(problems) == _MAX_SHOWN:
-                break
-        else:
-            rows.append(np.array(row, np.float64))
-    problems.raise_if_any()
+    with Problems(f"{source} cannot be read", FormatError) as problems:
+        rows = []
+        for at, line in enumerate(lines[first_line:], first_line + 1):
+            if not line.strip():
+                continue
+            row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
+            if row is None or len(row) != columns:
+                problems.add(
+                    f"line {at}: {line.strip()[:60]!r}",
+                    expected=f"{columns} number{'s'[: columns - 1]}",
+                    code="row-unreadable",
+                )
+                if len(problems) == _MAX_SHOWN:
+                    break
+            else:
+                rows.append(np.array(row, np.float64))
     return np.array(rows, np.float64).reshape(-1, columns)
 
 
