@@ -65,10 +65,12 @@ from hyperpaint.base import (
     SchemaError,
     fetch,
     find,
+    json_of,
     needs_extra,
     open_input,
     quality_attrs,
     read_limited,
+    refuse_constant,
     warn_if,
     warn_of_old_names,
     warn_user,
@@ -488,50 +490,54 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
     # Return all of a library except the values of its spectra, as JSON.
     # Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
     # large.
-    problems = Problems("the library's metadata cannot be written", SchemaError)
-    document = {"hyperpaint_library": VERSION, **library.to_dict(data=False)}
-    entries = document["coords"] | document["data_vars"]
-    owners = {"the library": document["attrs"], **{name: entry["attrs"] for name, entry in entries.items()}}
-    for owner, key, value in [(name, *item) for name, attrs in owners.items() for item in attrs.items()]:
-        try:
-            _json({key: value})
-        except (TypeError, ValueError, RecursionError):
-            problems.add(
-                f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
-                expected="text or numbers",
-                code="type-wrong",
-            )
-    for name in [name for name in entries if name not in spectra]:
-        values = library.variables[name].values
-        dtype = "str" if values.dtype.kind in "OUT" else str(values.dtype)
-        data = values.astype(object)
-        if dtype not in _DTYPES or (dtype == "str" and not all(isinstance(v, str) for v in data.flat)):
-            kinds = sorted({type(value).__name__ for value in data.flat if not isinstance(value, str)})
-            problems.add(
-                f"{name!r} is {values.dtype}{' with values of type ' * bool(kinds)}{', '.join(kinds)}",
-                expected="numbers, booleans, text or datetime64[ns]",
-                code="type-wrong",
-            )
-        elif dtype == "datetime64[ns]":
-            data = np.where(np.isnat(values), "", np.datetime_as_string(values))
-        elif values.dtype.kind == "f":
-            data[np.isnan(values)] = None
-            problems.add_if(
-                np.isinf(values).any(),
-                f"{name!r} contains infinity",
-                expected="finite numbers or NaN",
-                code="not-finite",
-            )
-        entries[name] |= {"dtype": dtype, "data": data.tolist()}
-    problems.raise_if_any()
+    with Problems("the library's metadata cannot be written", SchemaError) as problems:
+        document = {"hyperpaint_library": VERSION, **library.to_dict(data=False)}
+        entries = document["coords"] | document["data_vars"]
+        owners = {
+            "the library": document["attrs"],
+            **{name: entry["attrs"] for name, entry in entries.items()},
+        }
+        for owner, key, value in [(name, *item) for name, attrs in owners.items() for item in attrs.items()]:
+            try:
+                json_of({key: value})
+            except (TypeError, ValueError, RecursionError):
+                problems.add(
+                    f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
+                    expected="text or numbers",
+                    code="type-wrong",
+                )
+        for name in [name for name in entries if name not in spectra]:
+            values = library.variables[name].values
+            dtype = "str" if values.dtype.kind in "OUT" else str(values.dtype)
+            data = values.astype(object)
+            if dtype not in _DTYPES or (dtype == "str" and not all(isinstance(v, str) for v in data.flat)):
+                kinds = sorted({type(value).__name__ for value in data.flat if not isinstance(value, str)})
+                problems.add(
+                    f"{name!r} is {values.dtype}{' with values of type ' * bool(kinds)}{', '.join(kinds)}",
+                    expected="numbers, booleans, text or datetime64[ns]",
+                    code="type-wrong",
+                )
+            elif dtype == "datetime64[ns]":
+                data = np.where(np.isnat(values), "", np.datetime_as_string(values))
+            elif values.dtype.kind == "f":
+                data[np.isnan(values)] = None
+                problems.add_if(
+                    np.isinf(values).any(),
+                    f"{name!r} contains infinity",
+                    expected="finite numbers or NaN",
+                    code="not-finite",
+                )
+            entries[name] |= {"dtype": dtype, "data": data.tolist()}
     # xarray gathers coordinates from sets, whose order differs from run to run
-    names = ("coords", "data_vars")
-    parts = {part: dict(sorted((str(k), v) for k, v in document.pop(part).items())) for part in names}
+    parts = {
+        part: dict(sorted((str(k), v) for k, v in document.pop(part).items()))
+        for part in ("coords", "data_vars")
+    }
     document["dims"] = dict(sorted(document["dims"].items()))
-    lines = [f"  {_json(key)}: {_json(value)}" for key, value in document.items()]
+    lines = [f"  {json_of(key)}: {json_of(value)}" for key, value in document.items()]
     for part, variables in parts.items():
-        rows = ",\n".join(f"    {_json(name)}: {_json(entry)}" for name, entry in variables.items())
-        lines.append(f"  {_json(part)}: {{\n{rows}\n  }}")
+        rows = ",\n".join(f"    {json_of(name)}: {json_of(entry)}" for name, entry in variables.items())
+        lines.append(f"  {json_of(part)}: {{\n{rows}\n  }}")
     text = "{\n" + ",\n".join(lines) + "\n}\n"
     SchemaError.raise_if(
         len(text.encode()) > MAX_METADATA_BYTES,
@@ -541,10 +547,6 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
         code="file-too-large",
     )
     return text
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
@@ -581,9 +583,6 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
     # Read the metadata of a library; spectra are NaN without memory.
     # sizes: Sizes of signature and band in the data file. Raises FormatError: The file is not from
     # `metadata_text`, or belongs to another library; all problems are listed.
-    def refuse_constant(text: str) -> None:
-        raise ValueError(f"{text} is not JSON")
-
     problems = Problems(f"{path.name} is not the metadata of its library", FormatError)
     raw = read_limited(path, MAX_METADATA_BYTES, "metadata of a paint library")
     about = xr.Dataset()
@@ -594,7 +593,24 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
         if document["hyperpaint_library"] == 1:
             warn_of_old_names(path.name)
         if document["hyperpaint_library"] < VERSION:
-            document = _upgraded(document, sizes)
+            # metadata of versions 1 and 2 in the form of version 3
+            names = NEW_NAMES if document["hyperpaint_library"] == 1 else {}
+            all_sizes = {**document["sizes"], **sizes}
+            parts: dict[str, Any] = {"coords": {}, "data_vars": {}}
+            for name, entry in {**document["variables"], **document["spectra"]}.items():
+                dim_names = [names.get(dim, dim) for dim in entry["dims"]]
+                data = (
+                    {"data": entry["values"]}
+                    if "values" in entry
+                    else {"shape": [all_sizes[dim] for dim in dim_names]}
+                )
+                target = parts["coords" if entry.get("coordinate") is True else "data_vars"]
+                target[names.get(name, name)] = {"dtype": "float32", **entry, "dims": dim_names, **data}
+            attributes = {
+                key: 2 if key == VERSION_NAME and value == 1 else value
+                for key, value in document["attrs"].items()
+            }
+            document = {"attrs": attributes, **parts}
         for part in ("coords", "data_vars"):
             for name, entry in document[part].items():
                 try:
@@ -637,22 +653,6 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
         )
     problems.raise_if_any()
     return about
-
-
-def _upgraded(document: dict[str, Any], sizes: Mapping[str, int]) -> dict[str, Any]:
-    # Metadata of versions 1 and 2 in the form of version 3
-    names = NEW_NAMES if document["hyperpaint_library"] == 1 else {}
-    sizes = {**document["sizes"], **sizes}
-    parts: dict[str, Any] = {"coords": {}, "data_vars": {}}
-    for name, entry in {**document["variables"], **document["spectra"]}.items():
-        dims = [names.get(dim, dim) for dim in entry["dims"]]
-        data = {"data": entry["values"]} if "values" in entry else {"shape": [sizes[dim] for dim in dims]}
-        part = parts["coords" if entry.get("coordinate") is True else "data_vars"]
-        part[names.get(name, name)] = {"dtype": "float32", **entry, "dims": dims, **data}
-    attrs = {
-        key: 2 if key == VERSION_NAME and value == 1 else value for key, value in document["attrs"].items()
-    }
-    return {"attrs": attrs, **parts}
 
 
 def typed_values(flat: list[Any], dtype: str) -> Array:
@@ -1226,11 +1226,11 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
         comparable = np.isfinite(mean) & np.isfinite(deviation) & (mean > 0)
         ratios = deviation[comparable] / mean[comparable]
         if ratios.size and (ratios >= 0).all() and np.median(ratios) <= _TABLE.max_spread_ratio:
-            text = (
+            warn_user(
                 f"{source}: three columns without headings; the third is taken for the standard deviation of "
-                "the second; add headings, or pass quantity='reflectance' if the third is a paint"
+                "the second; add headings, or pass quantity='reflectance' if the third is a paint",
+                "spread-assumed",
             )
-            warn_user(text, "spread-assumed")
             roles[:] = 1, _IS_SPREAD
     return roles
 
@@ -1281,11 +1281,12 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     light = np.flatnonzero(dip > _TABLE.min_oxygen_depth * np.maximum(shoulder, 1e-6))
     if light.size:
         depth = dip[light[0]] / shoulder[light[0]] if shoulder[light[0]] > 0 else np.inf
-        text = (
+        warn_user(
             f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
-            f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {_SAY_SO}"
+            f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? "
+            f"{_SAY_SO}",
+            "sunlight-in-reflectance",
         )
-        warn_user(text, "sunlight-in-reflectance")
 
 
 # --- ECOSTRESS and ASTER -----------------------------------------------------------------------------------
