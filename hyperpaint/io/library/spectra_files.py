@@ -2081,48 +2081,48 @@ def read_envi_library(
     header_path, data_path = find_pair(path)
     fetch([data_path])
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
-    problems = Problems(f"{header_path.name} cannot be used", FormatError)
-    stored_bytes, expected_bytes = (
-        data_path.stat().st_size,
-        header.header_offset + header.lines * header.line_bytes,
-    )
-    problems.extend(
-        Problem(found, expected=expected, mend=mend, code=code)
-        for is_wrong, found, expected, mend, code in (
-            (
-                not header.is_spectral_library,
-                f"file type is {header.fields.get('file type', 'none')!r}",
-                "a spectral library",
-                "",
-                "format-unknown",
-            ),
-            (
-                header.bands != 1,
-                f"bands is {header.bands}",
-                "1 (spectra are lines, their wavelengths samples)",
-                "",
-                "dims-wrong",
-            ),
-            (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
-            (
-                header.data_gain_values is not None or header.data_offset_values is not None,
-                "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
-                "",
-                "",
-                "key-unknown",
-            ),
-            (
-                stored_bytes != expected_bytes,
-                f"{data_path.name} has {stored_bytes} bytes",
-                f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
-                f"{header.dtype.itemsize} bytes after {header.header_offset})",
-                "copy it again",
-                "file-size",
-            ),
+    with Problems(f"{header_path.name} cannot be used", FormatError) as problems:
+        stored_bytes, expected_bytes = (
+            data_path.stat().st_size,
+            header.header_offset + header.lines * header.line_bytes,
         )
-        if is_wrong
-    )
-    problems.raise_if_any()
+        problems.extend(
+            Problem(found, expected=expected, mend=mend, code=code)
+            for is_wrong, found, expected, mend, code in (
+                (
+                    not header.is_spectral_library,
+                    f"file type is {header.fields.get('file type', 'none')!r}",
+                    "a spectral library",
+                    "",
+                    "format-unknown",
+                ),
+                (
+                    header.bands != 1,
+                    f"bands is {header.bands}",
+                    "1 (spectra are lines, their wavelengths samples)",
+                    "",
+                    "dims-wrong",
+                ),
+                (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
+                (
+                    header.data_gain_values is not None or header.data_offset_values is not None,
+                    "'data gain values' or 'data offset values' are set, which spectral libraries cannot "
+                    "have",
+                    "",
+                    "",
+                    "key-unknown",
+                ),
+                (
+                    stored_bytes != expected_bytes,
+                    f"{data_path.name} has {stored_bytes} bytes",
+                    f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
+                    f"{header.dtype.itemsize} bytes after {header.header_offset})",
+                    "copy it again",
+                    "file-size",
+                ),
+            )
+            if is_wrong
+        )
     if _MARK not in header.fields:
         return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
     FormatError.raise_if(
@@ -2171,8 +2171,14 @@ def read_envi_library(
     )
     mend = "write the library again"
     refuse(source, *((is_wrong, Problem(found, mend=mend, code=code)) for is_wrong, found, code in checks))
-    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(data_path, names, keys, axes, _records(header, data_path), {})
+    return restored(
+        data_path,
+        names,
+        keys,
+        {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good},
+        _records(header, data_path),
+        {},
+    )
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
@@ -2346,25 +2352,29 @@ def write_envi_library(
         lists |= {
             f"paint {name}": [cell.translate(_FORBIDDEN) for cell in column] for name, column in columns
         }
-    lines = [
-        "ENVI",
-        f"description = {{Paint library of hyperpaint: {library.sizes[SIGNATURE]} paints}}",
-        f"samples = {library.sizes[BAND]}",
-        f"lines = {len(records)}",
-        "bands = 1",
-        "header offset = 0",
-        "file type = ENVI Spectral Library",
-        "data type = 4",
-        "interleave = bsq",
-        "sensor type = Unknown",
-        "byte order = 0",
-        "wavelength units = Nanometers",
-        "reflectance scale factor = 1.0",
-        "z plot titles = {Wavelength (nm), Reflectance}",
-        f"{_MARK} = 1",
-        *(f"{key} = {braced(values)}" for key, values in lists.items()),
-    ]
-    text = ("\n".join(lines) + "\n").encode()
+    text = (
+        "\n".join(
+            [
+                "ENVI",
+                f"description = {{Paint library of hyperpaint: {library.sizes[SIGNATURE]} paints}}",
+                f"samples = {library.sizes[BAND]}",
+                f"lines = {len(records)}",
+                "bands = 1",
+                "header offset = 0",
+                "file type = ENVI Spectral Library",
+                "data type = 4",
+                "interleave = bsq",
+                "sensor type = Unknown",
+                "byte order = 0",
+                "wavelength units = Nanometers",
+                "reflectance scale factor = 1.0",
+                "z plot titles = {Wavelength (nm), Reflectance}",
+                f"{_MARK} = 1",
+                *(f"{key} = {braced(values)}" for key, values in lists.items()),
+            ]
+        )
+        + "\n"
+    ).encode()
     SchemaError.raise_if(
         len(text) > MAX_LIBRARY_HEADER_BYTES,
         f"the header of {len(records)} spectra takes {len(text)} bytes",
