@@ -78,13 +78,13 @@ from .spectra_files import (
     MIN_NM,
     OWN_AXES,
     PERCENT,
+    USGS_AXIS,
+    USGS_RECORD,
     Spectra,
     blocks_of,
     checked_library,
     in_nanometres,
     is_csv_library,
-    is_usgs,
-    is_usgs_axis,
     library_of,
     metadata_path,
     metadata_text,
@@ -214,21 +214,21 @@ def read_sample_table(
             Problem(f"{len(records)} spectra", expected="a smaller table", code="file-too-large"),
         ),
     )
-    problems = Problems(f"{source} cannot be read", FormatError)
-    values = np.full((len(records), len(bands)), np.nan)
-    for at, record in enumerate(records):
-        is_whole = len(record) == len(headings)
-        cells = [record[band] for band in bands] if is_whole else []
-        row = numbers("" if cell.lower() in _MISSING else cell.replace(",", ".") for cell in cells)
-        if row and is_whole:
-            values[at] = row
-        elif len(problems) < _MAX_SHOWN_ROWS:
-            place = f"spectrum {at + 1}" if is_transposed else f"line {lines[at + 1][0]}"
-            found = f"{place}: {separator.join(record)[:60]!r}"
-            problems.add(
-                found, expected=f"{len(others)} properties and {len(bands)} numbers", code="row-unreadable"
-            )
-    problems.raise_if_any()
+    with Problems(f"{source} cannot be read", FormatError) as problems:
+        values = np.full((len(records), len(bands)), np.nan)
+        for at, record in enumerate(records):
+            is_whole = len(record) == len(headings)
+            cells = [record[band] for band in bands] if is_whole else []
+            row = numbers("" if cell.lower() in _MISSING else cell.replace(",", ".") for cell in cells)
+            if row and is_whole:
+                values[at] = row
+            elif len(problems) < _MAX_SHOWN_ROWS:
+                place = f"spectrum {at + 1}" if is_transposed else f"line {lines[at + 1][0]}"
+                problems.add(
+                    f"{place}: {separator.join(record)[:60]!r}",
+                    expected=f"{len(others)} properties and {len(bands)} numbers",
+                    code="row-unreadable",
+                )
     properties = {headings[at]: [record[at] for record in records] for at in others}
     units = _shared_words(properties, _WAVELENGTH_UNITS)
     quantity, value_units = _shared_words(properties, _QUANTITY), _shared_words(properties, _VALUE_UNITS)
@@ -278,8 +278,10 @@ def _shared_words(properties: dict[str, list[str]], pattern: re.Pattern[str]) ->
 def _names(properties: dict[str, list[str]], path: Path, count: int) -> list[str]:
     # Return the names of the spectra: of a property that names them, or else of the file.
     by_key = {re.sub(r"[_ ]+", " ", heading.lower()): texts for heading, texts in properties.items()}
-    candidates = [by_key[key] for key in _NAMES if key in by_key]
-    candidates += [t for t in properties.values() if any(number(cell) is None for cell in t)]
+    candidates = [
+        *(by_key[key] for key in _NAMES if key in by_key),
+        *(texts for texts in properties.values() if any(number(cell) is None for cell in texts)),
+    ]
     distinct = [texts for texts in candidates if all(texts) and len(set(texts)) == count]
     if distinct:
         return distinct[0]
@@ -456,16 +458,15 @@ def open_library(
     )
     if len(files) == 1:
         return _opened(files[0], options)
-    problems = Problems("the library cannot be opened", FormatError)
-    opened = []
-    for file in files:
-        try:
-            opened.append((file, _opened(file, options)))
-        except (FormatError, StoreError) as error:
-            problems.add_error("", error)
-            if len(problems) == _MAX_SHOWN:
-                break
-    problems.raise_if_any()
+    with Problems("the library cannot be opened", FormatError) as problems:
+        opened = []
+        for file in files:
+            try:
+                opened.append((file, _opened(file, options)))
+            except (FormatError, StoreError) as error:
+                problems.add_error("", error)
+                if len(problems) == _MAX_SHOWN:
+                    break
     return _joined(opened)
 
 
@@ -480,7 +481,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
         if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
             head = _head(path)
             is_table = head[:20].lower().startswith(("spectra names,", '"spectra names"'))
-            if not is_table and not is_usgs_axis(head):
+            if not is_table and not USGS_AXIS.match(head.partition("\n")[0]):
                 candidates.append(path)
     # a data file of ENVI is dropped, since its header is in the list
     headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
@@ -535,7 +536,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
             raise FormatError(f"{path.name}: {problem.found}", mend=problem.mend, code=problem.code)
         if is_envi:
             library = read_envi_library(path, scale=scale, wavelength=nm, fwhm=fwhm)
-        elif is_usgs(head):
+        elif USGS_RECORD.match(head.partition("\n")[0]):
             library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))
         else:
             # a text may begin as a table of EcoSIS or SPECCHIO
@@ -975,8 +976,12 @@ def _structure(library: xr.Dataset) -> Iterator[_Row]:
         problem = row.dim_problem(library[name]) if name in library.variables else None
         is_missing = name not in library.variables
         found = problem.found if problem else f"{name!r} is missing"
-        expected = f"a variable {name} ({', '.join(row.dims)})"
-        yield is_missing or problem is not None, "structure", found, expected
+        yield (
+            is_missing or problem is not None,
+            "structure",
+            found,
+            f"a variable {name} ({', '.join(row.dims)})",
+        )
     for name, row in LIBRARY_VARIABLES.items():
         if name in library.variables and name not in (CENTRE, "wavelength", SIGNATURE):
             dims = library[name].dims
@@ -1039,17 +1044,19 @@ def _paints(library: xr.Dataset) -> Iterator[_Row]:
             _listed([str(name) for name in library[SIGNATURE].values[mask]])
             for mask in (outside.any(axis=1), empty)
         )
-        yield (
-            bool(outside.any()),
-            "reflectance-range",
-            f"{_extremes(values[outside])} in {outside_paints}",
-            f"{low:g} to {high:g} in good bands",
-        )
-        yield (
-            bool(empty.any()),
-            "reflectance-empty",
-            f"no value in {empty_paints}",
-            "a value in at least one band",
+        yield from (
+            (
+                bool(outside.any()),
+                "reflectance-range",
+                f"{_extremes(values[outside])} in {outside_paints}",
+                f"{low:g} to {high:g} in good bands",
+            ),
+            (
+                bool(empty.any()),
+                "reflectance-empty",
+                f"no value in {empty_paints}",
+                "a value in at least one band",
+            ),
         )
 
 
@@ -1058,8 +1065,10 @@ def _populations(library: xr.Dataset) -> Iterator[_Row]:
     spreads = {name: library[name] for name in _SPREADS if name in library.variables}
     for name, spread in spreads.items():
         units = spread.attrs.get("units")
-        yield bool((spread.values < 0).any()), "uncertainty-sign", f"{name} is negative", "0 or more"
-        yield units != "1", "uncertainty-units", f"{name} has units {units!r}", "'1'"
+        yield from (
+            (bool((spread.values < 0).any()), "uncertainty-sign", f"{name} is negative", "0 or more"),
+            (units != "1", "uncertainty-units", f"{name} has units {units!r}", "'1'"),
+        )
     has_spread = any(np.isfinite(spread.values).any() for spread in spreads.values())
     yield (
         not has_spread and library.attrs.get("uncertainty") != UNKNOWN,
@@ -1072,14 +1081,18 @@ def _populations(library: xr.Dataset) -> Iterator[_Row]:
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
         is_wrong = bool((np.diff(levels) <= 0).any() or ((levels < 0) | (levels > 1)).any())
         is_falling = bool((np.diff(values, axis=1) < 0).any()) and not is_wrong
-        yield is_wrong, "quantiles", f"levels {levels.tolist()}", "ascending, from 0 to 1"
-        yield is_falling, "quantiles", "quantiles decrease with their level", "quantiles that increase"
+        yield from (
+            (is_wrong, "quantiles", f"levels {levels.tolist()}", "ascending, from 0 to 1"),
+            (is_falling, "quantiles", "quantiles decrease with their level", "quantiles that increase"),
+        )
     counts = {name: library[name].values for name in ("n", "n_eff") if name in library.variables}
     if "n" in counts:
         number = counts["n"]
-        yield bool((number < 1).any()), "n", f"{number.min(initial=1)} pixels", "1 or more"
         is_more = bool((counts.get("n_eff", 0) > number * (1 + 1e-6)).any())
-        yield is_more, "n", "more independent pixels than pixels", "n_eff at most n"
+        yield from (
+            (bool((number < 1).any()), "n", f"{number.min(initial=1)} pixels", "1 or more"),
+            (is_more, "n", "more independent pixels than pixels", "n_eff at most n"),
+        )
     if "member_reflectance" in library.variables:
         members = library["member_reflectance"]
         is_empty = bool(members.sizes["member"]) and not np.isfinite(members.values).any()
@@ -1104,13 +1117,15 @@ def _declarations(library: xr.Dataset) -> Iterator[_Row]:
 
     version, title = library.attrs.get(VERSION_NAME), library.attrs.get("title")
     is_version = version == VERSION and not isinstance(version, bool)
-    yield (
-        not is_version,
-        "version",
-        f"{VERSION_NAME} is {version!r}",
-        f"{VERSION}; hp.io.declare_library sets it",
+    yield from (
+        (
+            not is_version,
+            "version",
+            f"{VERSION_NAME} is {version!r}",
+            f"{VERSION}; hp.io.declare_library sets it",
+        ),
+        (not is_text(title), "title", f"title is {title!r:.40}", "a text"),
     )
-    yield not is_text(title), "title", f"title is {title!r:.40}", "a text"
     declared = library_terms(library)
     for name, allowed, _ in TERMS:
         words = declared[name] if isinstance(declared[name], list) else [declared[name]]

@@ -928,24 +928,16 @@ _SPELLED = {key.lower(): key for key in _KEYS}
 _ABOUT_THE_AXES = _KEYS[_KEYS.index("First Column") :]
 _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re.IGNORECASE)
 
-_RECORD = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
+#: First line of a USGS spectrum.
+USGS_RECORD = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
 _MEASUREMENT = re.compile(r"[A-Z]{4}")
-_AXIS = re.compile(
+#: First line of USGS wavelengths, bandwidths or error bars.
+USGS_AXIS = re.compile(
     r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm|error ?bars?\b)", re.I
 )
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
 #: Number of folders that are searched for wavelengths, from that of the spectrum upwards.
 _FOLDERS = 3
-
-
-def is_usgs(head: str) -> bool:
-    # Return whether the first line of a text is that of a USGS spectrum.
-    return _RECORD.match(head.partition("\n")[0]) is not None
-
-
-def is_usgs_axis(head: str) -> bool:
-    # Return whether the first line of a text is that of USGS wavelengths, bandwidths or error bars.
-    return _AXIS.match(head.partition("\n")[0]) is not None
 
 
 # --- plain tables ------------------------------------------------------------------------------------------
@@ -1404,7 +1396,7 @@ def read_usgs(
     # FormatError: Lines are not numbers; the quantity is not reflectance; or no file of wavelengths is found.
     source = path.name
     title, values = _column(path)
-    record = _RECORD.match(title)
+    record = USGS_RECORD.match(title)
     heading = record[3].strip() if record else title.strip()
     name, spectrometer, measurement = heading, "", ""
     words = heading.rsplit(None, 2)
@@ -1413,7 +1405,7 @@ def read_usgs(
     refuse(
         source,
         (
-            is_usgs_axis(title),
+            USGS_AXIS.match(title),
             Problem(
                 f"{heading[:60]!r} is not a spectrum",
                 expected="reflectance",
