@@ -363,8 +363,16 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
                 (gains[0], gains[1]),
                 cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block"),
             )
-    surplus = f"{cursor.remaining} bytes follow the last block of a version {version} file"
-    refuse(path.name, (not cursor.at_end, Problem(surplus, code="file-damaged")))
+    refuse(
+        path.name,
+        (
+            not cursor.at_end,
+            Problem(
+                f"{cursor.remaining} bytes follow the last block of a version {version} file",
+                code="file-damaged",
+            ),
+        ),
+    )
     second, minute, hour, day, month, year = header["saved"][:6]
     with FormatError.instead_of(
         ValueError,
@@ -1133,21 +1141,27 @@ def open_asd(
         while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):
             name = name[:-4]
         names.append((spectrum.path or Path(spectrum.source), name))
-    wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {
         "spectrum": (
             "spectrum",
             np.array(name_spectra(names), object),
             {"long_name": "Name of the spectrum"},
         ),
-        "wavelength": ("wavelength", spectra[0].wavelength, wavelength_attrs),
+        "wavelength": (
+            "wavelength",
+            spectra[0].wavelength,
+            {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"},
+        ),
         "time": ("spectrum", times[order], {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
     for name in ("latitude", "longitude", "altitude"):
         positions = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
-        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-        coords[name] = ("spectrum", np.array(positions, np.float64), attrs)
+        coords[name] = (
+            "spectrum",
+            np.array(positions, np.float64),
+            {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"},
+        )
     extra = {}
     if quantity == "reflectance":
         panels = sorted({spectrum.panel for spectrum in spectra} - {""})

@@ -621,8 +621,11 @@ def _from_files(
             )
         units = units or tables[0].units
         if units is None:
-            mend = f"pass units=, or add a line on top, for example '# units: {default_units}'"
-            raise UnitsError(f"{names}: no units", mend=mend, code="units-missing")
+            raise UnitsError(
+                f"{names}: no units",
+                mend=f"pass units=, or add a line on top, for example '# units: {default_units}'",
+                code="units-missing",
+            )
         spectra = [
             Spectrum(
                 f"{table.name}:{line}",
@@ -668,14 +671,15 @@ def _from_files(
     if wavelength.max() > _ASD_VNIR_END_NM:
         fwhm = np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM)
         source += f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
-    assumed = {"irradiance_units_source": f"assumed: {default_units}, the vendor's; text exports do not say"}
     return _from_spectra(
         spectra,
         utc_offset_h,
         units or default_units,
         fwhm=fwhm,
         fwhm_source=source,
-        attrs=assumed if units is None and "text" in kinds else {},
+        attrs={"irradiance_units_source": f"assumed: {default_units}, the vendor's; text exports do not say"}
+        if units is None and "text" in kinds
+        else {},
         receptor=next((spectrum.conflict for spectrum in spectra if spectrum.conflict), ""),
     )
 
@@ -927,8 +931,8 @@ class UncoveredError(TimeError):
                 offsets = zones[0] - shifts[np.argsort(np.abs(shifts))] / 3600.0
                 fitting = fitting if fitting.size else offsets[np.abs(offsets) <= 14.0]
             if fitting.size:
-                mend = f"utc_offset_h = {' or '.join(f'{h:g}' for h in fitting[:3])} instead of {zones[0]:g}"
-                mend += " would fit"
+                hours = " or ".join(f"{offset:g}" for offset in fitting[:3])
+                mend = f"utc_offset_h = {hours} instead of {zones[0]:g} would fit"
             elif least <= most:
                 mend += f": clock_offset_s = {clock + least:.0f} to {clock + most:.0f} would fit"
             else:

@@ -165,7 +165,18 @@ def judge_record(
     leave_out(values > max(RULES.max_irradiance, RULES.spike * level), "a fill value, above any sunlight")
     clipped = clipped_top(values) if clipped is None else clipped | clipped_top(values)
     leave_out(clipped, "clipped: equal at the maximum of the scan, as saturated counts are")
-    leave_out(_stuck(values, rows), "stuck: equal in all scans, while their neighbours change")
+    # Channels that never change between unequal scans, while those around them do, beyond their rounding;
+    # ``rows`` are the scans that are compared
+    change = np.abs(np.diff(values[rows], axis=0))
+    change = change[(change > 0.0).any(axis=1)]
+    stuck = np.zeros(values.shape, bool)
+    if len(change) >= RULES.stuck_scans:
+        is_constant = (change == 0.0).all(axis=0)
+        changes = np.where(is_constant, np.nan, _median(change, axis=0))
+        steps = np.min(change, axis=0, initial=np.inf, where=change > 0.0)
+        moves = _smooth(changes) >= RULES.stuck_steps * _smooth(np.where(is_constant, np.nan, steps))
+        stuck[:] = is_constant & moves
+    leave_out(stuck, "stuck: equal in all scans, while their neighbours change")
     # too little is left; values that were undefined before do not count
     channels = 1.0 - lost_channels[judged].mean()
     scans = 1.0 - lost_scans.sum() / max(int(defined.any(axis=1).sum()), 1)
@@ -243,21 +254,6 @@ def _smooth(level: Floats) -> Floats:
         return np.full(level.shape, np.inf)
     smooth = ndimage.median_filter(level[known], min(RULES.window, known.size), mode="nearest")
     return np.asarray(np.interp(np.arange(level.size), known, smooth))
-
-
-def _stuck(values: Floats, rows: Indices) -> Bools:
-    # Channels that never change between unequal scans, while those around them do, beyond their rounding;
-    # ``rows`` are the scans that are compared
-    change = np.abs(np.diff(values[rows], axis=0))
-    change = change[(change > 0.0).any(axis=1)]
-    stuck = np.zeros(values.shape, bool)
-    if len(change) >= RULES.stuck_scans:
-        is_constant = (change == 0.0).all(axis=0)
-        changes = np.where(is_constant, np.nan, _median(change, axis=0))
-        steps = np.min(change, axis=0, initial=np.inf, where=change > 0.0)
-        moves = _smooth(changes) >= RULES.stuck_steps * _smooth(np.where(is_constant, np.nan, steps))
-        stuck[:] = is_constant & moves
-    return stuck
 
 
 def _unlike_scans(levels: Floats, seconds: Floats) -> Indices:

@@ -58,64 +58,63 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
     # Return wavelengths [nm] and values, and the headings of these two columns.
     # has_units: Whether the headings, and the comments above the numbers, may contain units and name further
     #     columns, of uncertainties.
-    problems = Problems(f"{path} cannot be used as a spectrum", FormatError)
-    data = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns")
-    if (problem := foreign_format(path, is_binary=True)) is not None:
-        raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
-    lines = [line.strip().lstrip("\ufeff") for line in data.decode("utf-8", "replace").splitlines()]
-    _, dialect = first_row(["" if line.startswith("#") else line for line in lines]) or (0, (",", False))
-    rows: list[list[float]] = []
-    headings_above: list[str] = []
-    comments: list[str] = []
-    for line_number, content in enumerate(lines, 1):
-        if not content or content.startswith("#"):
-            comments += [content] if content and not rows else []
-            continue
-        row = row_numbers(content, dialect)
-        if row is None and not dialect[1]:
-            row = next((r for d in TABLE_DIALECTS if not d[1] and (r := row_numbers(content, d))), None)
-        if row is not None and len(row) == len(rows[0] if rows else row) and (has_units or len(row) == 2):
-            rows.append(row)
-        elif not rows and line_number <= headings:
-            headings_above.append(content)
-        else:
-            problems.add(
-                f"line {line_number}: {content[:60]!r}",
-                expected="a wavelength [nm] and a value",
-                code="row-unreadable",
-            )
-            if len(problems) == _MAX_SHOWN:
-                problems.raise_if_any()
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
-    if has_units:
-        column, headings_above = _value_column(headings_above, dialect[0], table.shape[1], path)
-        table = table[:, [0, column]]
-        headings_above = [*comments, *headings_above]
-        table[:, :1] *= _factor(headings_above, 0, path)
-    table = table.reshape(-1, 2)
-    wavelength, values = (table[::-1] if len(rows) > 1 and table[0, 0] > table[-1, 0] else table).T.copy()
-    first, last = (wavelength[0], wavelength[-1]) if rows else (0.0, 0.0)
-    checks = (
-        (
-            len(rows) < 2,
-            Problem(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing"),
-        ),
-        (
-            not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()),
-            Problem(
-                "wavelengths do not increase or decrease throughout, or a value is not finite",
-                code="wavelength-unordered",
+    with Problems(f"{path} cannot be used as a spectrum", FormatError) as problems:
+        data = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns")
+        if (problem := foreign_format(path, is_binary=True)) is not None:
+            raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
+        lines = [line.strip().lstrip("\ufeff") for line in data.decode("utf-8", "replace").splitlines()]
+        _, dialect = first_row(["" if line.startswith("#") else line for line in lines]) or (0, (",", False))
+        rows: list[list[float]] = []
+        headings_above: list[str] = []
+        comments: list[str] = []
+        for line_number, content in enumerate(lines, 1):
+            if not content or content.startswith("#"):
+                comments += [content] if content and not rows else []
+                continue
+            row = row_numbers(content, dialect)
+            if row is None and not dialect[1]:
+                row = next((r for d in TABLE_DIALECTS if not d[1] and (r := row_numbers(content, d))), None)
+            if row is not None and len(row) == len(rows[0] if rows else row) and (has_units or len(row) == 2):
+                rows.append(row)
+            elif not rows and line_number <= headings:
+                headings_above.append(content)
+            else:
+                problems.add(
+                    f"line {line_number}: {content[:60]!r}",
+                    expected="a wavelength [nm] and a value",
+                    code="row-unreadable",
+                )
+                if len(problems) == _MAX_SHOWN:
+                    problems.raise_if_any()
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
+        if has_units:
+            column, headings_above = _value_column(headings_above, dialect[0], table.shape[1], path)
+            table = table[:, [0, column]]
+            headings_above = [*comments, *headings_above]
+            table[:, :1] *= _factor(headings_above, 0, path)
+        table = table.reshape(-1, 2)
+        wavelength, values = (table[::-1] if len(rows) > 1 and table[0, 0] > table[-1, 0] else table).T.copy()
+        first, last = (wavelength[0], wavelength[-1]) if rows else (0.0, 0.0)
+        checks = (
+            (
+                len(rows) < 2,
+                Problem(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing"),
             ),
-        ),
-        (
-            not _WAVELENGTH_RANGE_NM[0] <= first <= last <= _WAVELENGTH_RANGE_NM[1],
-            Problem(
-                f"wavelengths from {first:g} to {last:g}", expected="nanometres", code="wavelength-range"
+            (
+                not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()),
+                Problem(
+                    "wavelengths do not increase or decrease throughout, or a value is not finite",
+                    code="wavelength-unordered",
+                ),
             ),
-        ),
-    )
-    problems.extend([problem for is_wrong, problem in checks if is_wrong][:1])
-    problems.raise_if_any()
+            (
+                not _WAVELENGTH_RANGE_NM[0] <= first <= last <= _WAVELENGTH_RANGE_NM[1],
+                Problem(
+                    f"wavelengths from {first:g} to {last:g}", expected="nanometres", code="wavelength-range"
+                ),
+            ),
+        )
+        problems.extend([problem for is_wrong, problem in checks if is_wrong][:1])
     return wavelength, values, headings_above
 
 
@@ -302,11 +301,16 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
         mend="divide percent by 100",
         code="scale-missing",
     )
-    attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(
         values,
         dims="wavelength",
-        coords={"wavelength": ("wavelength", wavelength, attrs)},
+        coords={
+            "wavelength": (
+                "wavelength",
+                wavelength,
+                {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"},
+            )
+        },
         name="reflectance",
         attrs={"units": "1", "long_name": "Reflectance factor of the panel", "source": path.name},
     )
@@ -363,19 +367,18 @@ def read_panel_table(path: str | os.PathLike[str]) -> xr.DataArray:
     )
     table = table_of(path, names, lines[1:])
     values = {name: np.array(numbers(cells) or [np.nan]) for name, cells in table.columns.items()}
-    problems = Problems(f"{path} cannot be used as a table of a panel's factors", FormatError)
-    for name, least, most in (
-        ("factor", 0.2, 5.0),
-        *((direction, 0.0, 180.0 if "azimuth" in direction else 90.0) for direction in PANEL_DIRECTIONS),
-        ("wavelength", *_WAVELENGTH_RANGE_NM),
-    ):
-        problems.add_if(
-            name in values and not ((values[name] >= least) & (values[name] <= most)).all(),
-            f"{name} has a value outside {least:g} to {most:g}, or not a number",
-            expected="nm" if name == "wavelength" else "1" if name == "factor" else "degree",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be used as a table of a panel's factors", FormatError) as problems:
+        for name, least, most in (
+            ("factor", 0.2, 5.0),
+            *((direction, 0.0, 180.0 if "azimuth" in direction else 90.0) for direction in PANEL_DIRECTIONS),
+            ("wavelength", *_WAVELENGTH_RANGE_NM),
+        ):
+            problems.add_if(
+                name in values and not ((values[name] >= least) & (values[name] <= most)).all(),
+                f"{name} has a value outside {least:g} to {most:g}, or not a number",
+                expected="nm" if name == "wavelength" else "1" if name == "factor" else "degree",
+                code="value-out-of-range",
+            )
     factor = values.pop("factor")
     dims = [name for name in columns if name in values]
     axes, indices = zip(*(np.unique(values[dim], return_inverse=True) for dim in dims), strict=True)
