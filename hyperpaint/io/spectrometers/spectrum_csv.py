@@ -501,34 +501,35 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
         sections.setdefault(name, []).extend(rows)
     # sensors of irradiance are calibrated under the lamp, without a panel
     tables_of = {name: row for name, row in _TABLES.items() if name != "PANELDATA" or name in sections}
-    problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
-    tables: dict[str, Floats] = {}
-    for name, (columns, _, nm_column) in tables_of.items():
-        rows = sections.get(name, [])
-        if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
-            problems.add(
-                f"[{name}] has {len(rows)} rows",
-                expected=f"at least two up to [END_OF_{name}]",
-                code="table-missing",
+    with Problems(f"{path} cannot be used as a radiometric calibration", FormatError) as problems:
+        tables: dict[str, Floats] = {}
+        for name, (columns, _, nm_column) in tables_of.items():
+            rows = sections.get(name, [])
+            if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
+                problems.add(
+                    f"[{name}] has {len(rows)} rows",
+                    expected=f"at least two up to [END_OF_{name}]",
+                    code="table-missing",
+                )
+                continue
+            cells = [numbers(text.split()) for _, text in rows]
+            wrong = (row for row, values in zip(rows, cells, strict=True) if len(values or ()) != columns)
+            if (row := next(wrong, None)) is not None:
+                problems.add(
+                    f"line {row[0]}: {row[1][:60]!r}",
+                    expected=f"{columns} numbers of [{name}]",
+                    code="row-unreadable",
+                )
+                continue
+            table = np.array(cells, np.float64)
+            tables[name] = (
+                table[1:] if name == "CALDATA" else table
+            )  # whose first row holds integration times
+            problems.add_if(
+                not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any(),
+                f"[{name}] has wavelengths that do not increase, or values that are not finite",
+                code="wavelength-unordered",
             )
-            continue
-        cells = [numbers(text.split()) for _, text in rows]
-        wrong = (row for row, values in zip(rows, cells, strict=True) if len(values or ()) != columns)
-        if (row := next(wrong, None)) is not None:
-            problems.add(
-                f"line {row[0]}: {row[1][:60]!r}",
-                expected=f"{columns} numbers of [{name}]",
-                code="row-unreadable",
-            )
-            continue
-        table = np.array(cells, np.float64)
-        tables[name] = table[1:] if name == "CALDATA" else table  # whose first row holds integration times
-        problems.add_if(
-            not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any(),
-            f"[{name}] has wavelengths that do not increase, or values that are not finite",
-            code="wavelength-unordered",
-        )
-    problems.raise_if_any()
     data = xr.Dataset(
         coords={dim: (dim, tables[name][:, nm], {"units": "nm"}) for name, (_, dim, nm) in tables_of.items()}
     )
@@ -613,53 +614,52 @@ def read_angular_response(path: str | os.PathLike[str]) -> xr.Dataset:
     0.06
     """
     path = as_path(path)
-    problems = Problems(f"{path} cannot be used as an angular response", FormatError)
-    azimuths: list[float] = []
-    zenith: list[float] | None = None
-    axis: Floats | None = None
-    tables: dict[str, list[Floats]] = {name: [] for name in _ANGULAR.values()}
-    texts: dict[str, str] = {}
-    for name, rows in _sections(path, "!ANGDATA"):
-        if name in _TEXTS and rows:
-            texts[_TEXTS[name]] = rows[0][1]
-        elif name == "AZIMUTH_ANGLE" and rows and (angle := number(rows[0][1])) is not None:
-            azimuths.append(angle)
-        elif name == "COLUMN_NAMES" and rows:
-            angles = numbers(rows[0][1].split()[2:])
-            problems.add_if(
-                not angles or zenith not in (None, angles),
-                f"line {rows[0][0]}: {rows[0][1][:60]!r}",
-                expected="px, wl and the same angles in every table",
-                code="header-unreadable",
-            )
-            zenith = angles or zenith
-        elif name in _ANGULAR:
-            cells = [numbers(text.split()) for _, text in rows]
-            count = len(zenith or ()) + 2
-            wrong = next(
-                (n for (n, _), row in zip(rows, cells, strict=True) if len(row or ()) != count), None
-            )
-            if len(rows) < 2 or wrong is not None:
-                found = f"line {wrong}" if wrong is not None else f"[{name}] has {len(rows)} rows"
-                problems.add(found, expected=f"{count} numbers of [{name}]", code="row-unreadable")
-                continue
-            table = np.array(cells, np.float64)
-            axis = table[:, 1] if axis is None else axis
-            problems.add_if(
-                not np.isfinite(table).all()
-                or not np.array_equal(table[:, 1], axis)
-                or (np.diff(axis) <= 0).any(),
-                f"[{name}] has wavelengths that do not increase or differ, or values that are not finite",
-                code="wavelength-unordered",
-            )
-            tables[_ANGULAR[name]].append(table[:, 2:])
-    problems.add_if(
-        not problems and (len({len(azimuths), *map(len, tables.values())}) > 1 or not azimuths),
-        f"{len(azimuths)} azimuths, {' and '.join(f'{len(t)} of {n}' for n, t in tables.items())}",
-        expected="[AZIMUTH_ANGLE], [COSERROR] and [UNCERTAINTY] of each",
-        code="table-missing",
-    )
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be used as an angular response", FormatError) as problems:
+        azimuths: list[float] = []
+        zenith: list[float] | None = None
+        axis: Floats | None = None
+        tables: dict[str, list[Floats]] = {name: [] for name in _ANGULAR.values()}
+        texts: dict[str, str] = {}
+        for name, rows in _sections(path, "!ANGDATA"):
+            if name in _TEXTS and rows:
+                texts[_TEXTS[name]] = rows[0][1]
+            elif name == "AZIMUTH_ANGLE" and rows and (angle := number(rows[0][1])) is not None:
+                azimuths.append(angle)
+            elif name == "COLUMN_NAMES" and rows:
+                angles = numbers(rows[0][1].split()[2:])
+                problems.add_if(
+                    not angles or zenith not in (None, angles),
+                    f"line {rows[0][0]}: {rows[0][1][:60]!r}",
+                    expected="px, wl and the same angles in every table",
+                    code="header-unreadable",
+                )
+                zenith = angles or zenith
+            elif name in _ANGULAR:
+                cells = [numbers(text.split()) for _, text in rows]
+                count = len(zenith or ()) + 2
+                wrong = next(
+                    (n for (n, _), row in zip(rows, cells, strict=True) if len(row or ()) != count), None
+                )
+                if len(rows) < 2 or wrong is not None:
+                    found = f"line {wrong}" if wrong is not None else f"[{name}] has {len(rows)} rows"
+                    problems.add(found, expected=f"{count} numbers of [{name}]", code="row-unreadable")
+                    continue
+                table = np.array(cells, np.float64)
+                axis = table[:, 1] if axis is None else axis
+                problems.add_if(
+                    not np.isfinite(table).all()
+                    or not np.array_equal(table[:, 1], axis)
+                    or (np.diff(axis) <= 0).any(),
+                    f"[{name}] has wavelengths that do not increase or differ, or values that are not finite",
+                    code="wavelength-unordered",
+                )
+                tables[_ANGULAR[name]].append(table[:, 2:])
+        problems.add_if(
+            not problems and (len({len(azimuths), *map(len, tables.values())}) > 1 or not azimuths),
+            f"{len(azimuths)} azimuths, {' and '.join(f'{len(t)} of {n}' for n, t in tables.items())}",
+            expected="[AZIMUTH_ANGLE], [COSERROR] and [UNCERTAINTY] of each",
+            code="table-missing",
+        )
     dims = ("azimuth", "wavelength", "zenith")
     scales = {"cosine_error": 1e-2, "cosine_error_u": _STANDARD_PER_EXPANDED_PERCENT}
     return xr.Dataset(
