@@ -66,44 +66,43 @@ def open_spectra(files: Sequence[Path], *, is_reference: bool = False) -> list[x
     # is_reference: References are reflectance, may also be libraries, and may differ in wavelengths; other
     # files have the quantity that they state.
     # Raises FormatError: Files cannot be read, or are of unknown kind; all are named.
-    problems = Problems("references cannot be opened", FormatError)
-    files_by_opener: dict[Any, list[Any]] = {open_svc: [], open_asd: [], open_library: []}
-    openers: dict[str, Any] = {
-        "scans": open_svc,
-        "binary": open_asd,
-        "text": open_asd,
-        "instrument": open_library,
-    }
-    for path in files:
-        opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
-        is_table = path.suffix.lower() == ".csv" or (is_reference and path.suffix.lower() != ".asd")
-        if opener is None and is_table:
-            opener = open_library
-        if opener is not None:
-            files_by_opener[opener].append(path)
-        else:
-            unknown = Problem(
-                "not a file of a field spectrometer",
-                expected=".sig, .asd or a text of a spectrometer",
-                code="format-unknown",
-            )
-            problem = foreign_format(path) or unknown
-            problems.extend([replace(problem, found=f"{path}: {problem.found}")])
-    datasets: list[xr.Dataset] = []
-    for opener, paths in files_by_opener.items():
-        # libraries are opened singly; so are references that cannot be opened together
-        batches = paths if opener is open_library else [paths] if paths else []
-        options = () if opener is open_library else ("reflectance" if is_reference else None,)
-        while batches:
-            batch, *batches = batches
-            try:
-                datasets.append(opener(batch, *options))
-            except PaintError as error:
-                if is_reference and isinstance(batch, list) and len(batch) > 1:
-                    batches = batch
-                else:
-                    problems.add_error("", error)
-    problems.raise_if_any()
+    with Problems("references cannot be opened", FormatError) as problems:
+        files_by_opener: dict[Any, list[Any]] = {open_svc: [], open_asd: [], open_library: []}
+        openers: dict[str, Any] = {
+            "scans": open_svc,
+            "binary": open_asd,
+            "text": open_asd,
+            "instrument": open_library,
+        }
+        for path in files:
+            opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
+            is_table = path.suffix.lower() == ".csv" or (is_reference and path.suffix.lower() != ".asd")
+            if opener is None and is_table:
+                opener = open_library
+            if opener is not None:
+                files_by_opener[opener].append(path)
+            else:
+                unknown = Problem(
+                    "not a file of a field spectrometer",
+                    expected=".sig, .asd or a text of a spectrometer",
+                    code="format-unknown",
+                )
+                problem = foreign_format(path) or unknown
+                problems.extend([replace(problem, found=f"{path}: {problem.found}")])
+        datasets: list[xr.Dataset] = []
+        for opener, paths in files_by_opener.items():
+            # libraries are opened singly; so are references that cannot be opened together
+            batches = paths if opener is open_library else [paths] if paths else []
+            options = () if opener is open_library else ("reflectance" if is_reference else None,)
+            while batches:
+                batch, *batches = batches
+                try:
+                    datasets.append(opener(batch, *options))
+                except PaintError as error:
+                    if is_reference and isinstance(batch, list) and len(batch) > 1:
+                        batches = batch
+                    else:
+                        problems.add_error("", error)
     return datasets
 
 
@@ -137,51 +136,56 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
         UnicodeDecodeError, f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
     ):
         text = data.decode("utf-8-sig")
-    problems = Problems(f"{path} cannot be used as a list of paints and references", FormatError)
-    # text of an entry in messages, paint, and references
-    entries: list[tuple[str, Any, Any]] = []
-    expected, code = "paint, comma, reference", "row-unreadable"
-    if path.suffix.lower() == ".json":
-        document: Any = None
-        try:
-            document = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            problems.add(f"not readable as JSON ({error!s:.80})", code="text-unreadable")
-        if isinstance(document, dict):
-            expected, code = "a name or a list of names", "type-wrong"
-            for paint, names in document.items():
-                references = [names] if isinstance(names, str) else names
-                entries.append((f"{paint!r:.60}: {names!r:.60}", paint, references))
-        elif not problems:
-            problems.add(
-                "the JSON is not an object",
-                expected="an object of paints, each with the name of its reference or a list of names",
-                code="type-wrong",
-            )
-    else:
-        line_number = 0
-        try:
-            for line_number, row in enumerate(csv.reader(text.splitlines(), strict=True), 1):
-                cells = [cell.strip() for cell in row]
-                if not any(cells) or cells[0].startswith("#"):
-                    continue
-                if line_number > 1 or cells[0].lower() not in _HEADINGS or cells[1:2] != ["reference"]:
-                    is_pair = len(cells) == 2 and all(cells)
-                    entries.append(
-                        (
-                            f"line {line_number}: {','.join(row)[:60]!r}",
-                            cells[0],
-                            cells[1:] if is_pair else [],
+    with Problems(f"{path} cannot be used as a list of paints and references", FormatError) as problems:
+        # text of an entry in messages, paint, and references
+        entries: list[tuple[str, Any, Any]] = []
+        expected, code = "paint, comma, reference", "row-unreadable"
+        if path.suffix.lower() == ".json":
+            document: Any = None
+            try:
+                document = json.loads(text)
+            except (ValueError, RecursionError) as error:
+                problems.add(f"not readable as JSON ({error!s:.80})", code="text-unreadable")
+            if isinstance(document, dict):
+                expected, code = "a name or a list of names", "type-wrong"
+                for paint, names in document.items():
+                    references = [names] if isinstance(names, str) else names
+                    entries.append((f"{paint!r:.60}: {names!r:.60}", paint, references))
+            elif not problems:
+                problems.add(
+                    "the JSON is not an object",
+                    expected="an object of paints, each with the name of its reference or a list of names",
+                    code="type-wrong",
+                )
+        else:
+            line_number = 0
+            try:
+                for line_number, row in enumerate(csv.reader(text.splitlines(), strict=True), 1):
+                    cells = [cell.strip() for cell in row]
+                    if not any(cells) or cells[0].startswith("#"):
+                        continue
+                    if line_number > 1 or cells[0].lower() not in _HEADINGS or cells[1:2] != ["reference"]:
+                        is_pair = len(cells) == 2 and all(cells)
+                        entries.append(
+                            (
+                                f"line {line_number}: {','.join(row)[:60]!r}",
+                                cells[0],
+                                cells[1:] if is_pair else [],
+                            )
                         )
-                    )
-        except csv.Error as error:
-            problems.add(f"after line {line_number}: {error}", code="row-unreadable")
-    references_by_paint: dict[str, dict[str, None]] = {}
-    for found, paint, references in entries:
-        if isinstance(references, list) and references and all(isinstance(n, str) and n for n in references):
-            references_by_paint.setdefault(paint, {}).update(dict.fromkeys(references))
-        elif len(problems) < _MAX_SHOWN:
-            problems.extend([Problem(found, expected=expected, code=code)])
-    problems.add_if(not references_by_paint and not problems, "the file contains no pair", code="empty-input")
-    problems.raise_if_any()
+            except csv.Error as error:
+                problems.add(f"after line {line_number}: {error}", code="row-unreadable")
+        references_by_paint: dict[str, dict[str, None]] = {}
+        for found, paint, references in entries:
+            if (
+                isinstance(references, list)
+                and references
+                and all(isinstance(n, str) and n for n in references)
+            ):
+                references_by_paint.setdefault(paint, {}).update(dict.fromkeys(references))
+            elif len(problems) < _MAX_SHOWN:
+                problems.extend([Problem(found, expected=expected, code=code)])
+        problems.add_if(
+            not references_by_paint and not problems, "the file contains no pair", code="empty-input"
+        )
     return {paint: tuple(references) for paint, references in references_by_paint.items()}
