@@ -27,7 +27,6 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import (
@@ -141,32 +140,37 @@ def find_paths(
     # Raises FormatError: No file is found, or a glob leads out of its folder or matches too many files.
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
-    problems = Problems("spectra cannot be opened", FormatError)
-    files: list[Path] = []
-    for entry in paths:
-        path = input_path(entry, expected, content=False)
-        if path.is_dir():
-            discover(path)
-            # pipes and broken links are kept, so that reading reports them
-            folder_files = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
-            matches = of_folder(folder_files)
-        elif os.path.lexists(path) or not is_pattern(str(path)):
-            matches = [path]
-        else:
-            pattern_start = next(number for number, part in enumerate(path.parts) if is_pattern(part))
-            try:
-                matches = of_pattern(
-                    matching_files(Path(*path.parts[:pattern_start]), "/".join(path.parts[pattern_start:]))
+    with Problems("spectra cannot be opened", FormatError) as problems:
+        files: list[Path] = []
+        for entry in paths:
+            path = input_path(entry, expected, content=False)
+            if path.is_dir():
+                discover(path)
+                # pipes and broken links are kept, so that reading reports them
+                folder_files = sorted(
+                    p for p in path.iterdir() if not p.is_dir() and not p.name.startswith(".")
                 )
-            except ValueError as error:
-                problems.add(f"{path}: {error}", code="pattern-unusable")
-                continue
-        problems.add_if(not matches, f"{path}: no spectra found", expected=expected, code="file-not-found")
-        files += matches
-    problems.add_if(
-        not files and not problems, "an empty list of files", mend="name at least one", code="empty-input"
-    )
-    problems.raise_if_any()
+                matches = of_folder(folder_files)
+            elif os.path.lexists(path) or not is_pattern(str(path)):
+                matches = [path]
+            else:
+                pattern_start = next(number for number, part in enumerate(path.parts) if is_pattern(part))
+                try:
+                    matches = of_pattern(
+                        matching_files(
+                            Path(*path.parts[:pattern_start]), "/".join(path.parts[pattern_start:])
+                        )
+                    )
+                except ValueError as error:
+                    problems.add(f"{path}: {error}", code="pattern-unusable")
+                    continue
+            problems.add_if(
+                not matches, f"{path}: no spectra found", expected=expected, code="file-not-found"
+            )
+            files += matches
+        problems.add_if(
+            not files and not problems, "an empty list of files", mend="name at least one", code="empty-input"
+        )
     fetch(files)
     return files
 
@@ -193,18 +197,16 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
 
 
 def same_grids(
-    grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
-) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
+    grids: Iterable[tuple[str, Floats]],
+) -> list[tuple[Floats, list[str]]]:
     # Return each distinct set of wavelengths with the names of its spectra.
-    groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
+    groups: dict[bytes, tuple[Floats, list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
     return list(groups.values())
 
 
-def require_one_grid(
-    grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
-) -> None:
+def require_one_grid(grids: Iterable[tuple[str, Floats]], advice: Callable[[], str] = str) -> None:
     # Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
     # Raises FormatError: There are several sets; each is listed with the names of its spectra.
     groups = same_grids(grids)
@@ -245,9 +247,7 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     return next(str(quantity) for quantity in names_by_quantity)
 
 
-def ratio(
-    numerator: npt.NDArray[np.float64], denominator: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def ratio(numerator: Floats, denominator: Floats) -> Floats:
     # Return the ratio, NaN where the denominator is zero or undefined.
     quotient = np.full(numerator.shape, np.nan)
     with np.errstate(all="ignore"):  # values of damaged files; non-finite results are reported later
@@ -781,8 +781,13 @@ def open_svc(
     )
     is_ratio = target_quantity == "reflectance"
     # the wavelengths, and the detectors if these are the same in all files
-    wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
-    coords: dict[str, Any] = {"wavelength": ("wavelength", measurements[0].wavelength, wavelength_attrs)}
+    coords: dict[str, Any] = {
+        "wavelength": (
+            "wavelength",
+            measurements[0].wavelength,
+            {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"},
+        )
+    }
     detector = measurements[0].detector
     if detector is not None and all(
         measurement.detector is not None and np.array_equal(measurement.detector, detector)
@@ -790,8 +795,80 @@ def open_svc(
     ):
         names = np.array(DETECTORS, object)[detector]
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
-    coords |= _coords_of_scans(contents, (1, 0) if is_ratio else (scan_number,), dayfirst, utc_offset_h)
-    coords |= _coords_of_files(files, measurements, is_ratio=is_ratio)
+    scans = (1, 0) if is_ratio else (scan_number,)
+    coords |= _coords_of_scans(contents, scans, dayfirst, utc_offset_h)
+    # Return the coordinates of the channels, and of the files' names, instruments, overlaps and errors.
+    svc_files = [measurement.file for measurement in measurements]
+    overlaps = [measurement.overlap for measurement in measurements]
+    errors = np.array([error_bits(svc_file.header) for svc_file in svc_files], np.int64)
+    factors = np.array([overlap.factors for overlap in overlaps], np.float64)
+    # name: values along the spectra, meaning, units
+    rows: dict[str, tuple[Any, ...]] = {
+        "spectrum": (
+            name_spectra([(path, path.name.removesuffix(path.suffix)) for path in files]),
+            "Name of the spectrum",
+        ),
+        "source": ([svc_file.name for svc_file in svc_files], "File"),
+        "instrument": ([svc_file.header.get("instrument", "") for svc_file in svc_files], "Instrument"),
+        "overlap": (
+            [
+                f"trimmed @ {', '.join(f'{join:g}' for join in measurement.trimmed_at)} nm"
+                if measurement.trimmed_at
+                else measurement.overlap.text
+                for measurement in measurements
+            ],
+            "What became of channels where detectors overlap",
+        ),
+        "overlap_matched": (
+            np.array([overlap.matching.lower() not in ("", "none") for overlap in overlaps], bool),
+            "Whether values were changed to make detectors meet",
+        ),
+        "factors": (
+            [svc_file.header.get("factors", "") for svc_file in svc_files],
+            "Matching of the detectors as the file says it",
+        ),
+        "header": (
+            [json.dumps(dict(svc_file.header), ensure_ascii=False) for svc_file in svc_files],
+            "Header of the file as JSON",
+        ),
+    }
+    for index, name in enumerate(SCANS):
+        meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
+        rows[f"factor_{name}"] = (factors[:, index], meaning, "1")
+        meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
+        rows[f"error_{name}"] = (errors[:, index], meaning)
+    if is_ratio:
+        meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
+        # difference of each file's fourth column from the ratio, with a warning if it exceeds rounding
+        differences = np.full(len(svc_files), np.nan)
+        contradictory = []
+        for number, svc_file in enumerate(svc_files):
+            with np.errstate(all="ignore"):
+                scan_ratio = svc_file.target / svc_file.reference
+                difference = np.abs(100.0 * scan_ratio - svc_file.percent)
+                # the file rounds all numbers, of the scans and of the ratio
+                limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(scan_ratio)) / np.abs(svc_file.reference))
+                is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                    np.isfinite(scan_ratio) & ~np.isfinite(svc_file.percent)
+                )
+            differences[number] = max(difference[np.isfinite(difference)], default=np.nan) / 100.0
+            if is_contradictory.any():
+                contradictory.append(f"{svc_file.name} ({np.count_nonzero(is_contradictory)} channels)")
+        warn_of(
+            "the reflectance in the file contradicts its two scans (edited or resampled?); "
+            "their ratio is used",
+            contradictory,
+            "reflectance-conflict",
+        )
+        rows["column_difference"] = (differences, meaning, "1")
+    coords |= {
+        name: (
+            "spectrum",
+            np.array(values, object) if isinstance(values, list) else values,
+            {"long_name": meaning, **({"units": units[0]} if units else {})},
+        )
+        for name, (values, meaning, *units) in rows.items()
+    }
     instruments = listed(sorted({file.dialect.instrument for file in contents}))
     attrs: dict[str, Any] = {"instrument": instruments} | ({} if is_ratio else {"scan": scan})
     trimmed_at = [measurement.trimmed_at for measurement in measurements if measurement.trimmed_at]
@@ -934,83 +1011,6 @@ def _joins_advice(measurements: Sequence[_Measurement]) -> str:
 # --- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coords_of_files(
-    paths: Sequence[Path], measurements: Sequence[_Measurement], *, is_ratio: bool
-) -> dict[str, Any]:
-    # Return the coordinates of the channels, and of the files' names, instruments, overlaps and errors.
-    files = [measurement.file for measurement in measurements]
-    overlaps = [measurement.overlap for measurement in measurements]
-    errors = np.array([error_bits(file.header) for file in files], np.int64)
-    factors = np.array([overlap.factors for overlap in overlaps], np.float64)
-    # name: values along the spectra, meaning, units
-    rows: dict[str, tuple[Any, ...]] = {
-        "spectrum": (
-            name_spectra([(path, path.name.removesuffix(path.suffix)) for path in paths]),
-            "Name of the spectrum",
-        ),
-        "source": ([file.name for file in files], "File"),
-        "instrument": ([file.header.get("instrument", "") for file in files], "Instrument"),
-        "overlap": (
-            [
-                f"trimmed @ {', '.join(f'{join:g}' for join in measurement.trimmed_at)} nm"
-                if measurement.trimmed_at
-                else measurement.overlap.text
-                for measurement in measurements
-            ],
-            "What became of channels where detectors overlap",
-        ),
-        "overlap_matched": (
-            np.array([overlap.matching.lower() not in ("", "none") for overlap in overlaps], bool),
-            "Whether values were changed to make detectors meet",
-        ),
-        "factors": (
-            [file.header.get("factors", "") for file in files],
-            "Matching of the detectors as the file says it",
-        ),
-        "header": (
-            [json.dumps(dict(file.header), ensure_ascii=False) for file in files],
-            "Header of the file as JSON",
-        ),
-    }
-    for scan, name in enumerate(SCANS):
-        meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
-        rows[f"factor_{name}"] = (factors[:, scan], meaning, "1")
-        meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
-        rows[f"error_{name}"] = (errors[:, scan], meaning)
-    if is_ratio:
-        meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
-        # difference of each file's fourth column from the ratio, with a warning if it exceeds rounding
-        differences = np.full(len(files), np.nan)
-        contradictory = []
-        for number, file in enumerate(files):
-            with np.errstate(all="ignore"):
-                scan_ratio = file.target / file.reference
-                difference = np.abs(100.0 * scan_ratio - file.percent)
-                # the file rounds all numbers, of the scans and of the ratio
-                limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(scan_ratio)) / np.abs(file.reference))
-                is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
-                    np.isfinite(scan_ratio) & ~np.isfinite(file.percent)
-                )
-            differences[number] = max(difference[np.isfinite(difference)], default=np.nan) / 100.0
-            if is_contradictory.any():
-                contradictory.append(f"{file.name} ({np.count_nonzero(is_contradictory)} channels)")
-        warn_of(
-            "the reflectance in the file contradicts its two scans (edited or resampled?); "
-            "their ratio is used",
-            contradictory,
-            "reflectance-conflict",
-        )
-        rows["column_difference"] = (differences, meaning, "1")
-    return {
-        name: (
-            "spectrum",
-            np.array(values, object) if isinstance(values, list) else values,
-            {"long_name": meaning, **({"units": units[0]} if units else {})},
-        )
-        for name, (values, meaning, *units) in rows.items()
-    }
-
-
 def _coords_of_scans(
     files: Sequence[SvcFile], scans: Sequence[int], dayfirst: bool | None, utc_offset_h: float | None
 ) -> dict[str, Any]:
@@ -1077,8 +1077,11 @@ def _coords_of_scans(
     )
     columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
     for name, column in zip(("latitude", "longitude"), columns, strict=True):
-        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-        coords[name] = ("spectrum", column, attrs)
+        coords[name] = (
+            "spectrum",
+            column,
+            {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"},
+        )
     return coords
 
 
