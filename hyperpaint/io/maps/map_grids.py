@@ -105,9 +105,12 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     path = input_path(path, "a raster")
     with open_input(path, "a raster", _SIZES.max_raster_bytes) as file:
         first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
-    driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
-    driver = driver or ("AAIGrid" if first_bytes.lower().startswith(_GRID_KEYWORDS) else "")
-    driver = driver or ("SRTMHGT" if full_path.lower().endswith(".hgt") else "")
+    forms = (
+        *((first_bytes.startswith(magic), name) for magic, name in _DRIVERS),
+        (first_bytes.lower().startswith(_GRID_KEYWORDS), "AAIGrid"),
+        (full_path.lower().endswith(".hgt"), "SRTMHGT"),
+    )
+    driver = next((name for is_form, name in forms if is_form), "")
     FormatError.raise_if(
         not driver,
         f"{path}: not a TIFF, ASCII grid, SRTM .hgt or DTED, in spite of its name",
@@ -122,16 +125,18 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import CRSError
     try:
-        with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
-            warnings.simplefilter("ignore")  # rasterio warns of files without position
-            with rasterio.open(full_path, driver=driver, sharing=False) as raster:
-                FormatError.raise_if(
-                    raster.tags(ns="OVERVIEWS"),
-                    f"{path} names another file for its overviews",
-                    mend="convert it with gdal_translate",
-                    code="file-not-alone",
-                )
-                yield raster
+        with (
+            warnings.catch_warnings(action="ignore"),  # rasterio warns of files without position
+            rasterio.Env(**_ENVIRONMENT),
+            rasterio.open(full_path, driver=driver, sharing=False) as raster,
+        ):
+            FormatError.raise_if(
+                raster.tags(ns="OVERVIEWS"),
+                f"{path} names another file for its overviews",
+                mend="convert it with gdal_translate",
+                code="file-not-alone",
+            )
+            yield raster
     except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
         raise FormatError(
             f"{path}: GDAL cannot read it as {driver} ({error!s:.200})",
@@ -246,13 +251,17 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         if undulation is not None and np.isfinite(undulation):
             declared["geoid_undulation"] = undulation
     attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
-    coords = {
-        # half a cell is added to the corner first, like in rioxarray: the same bits
-        "x": ("x", np.arange(*columns) * a + (a * 0.5 + b * 0.5 + c)),
-        "y": ("y", np.arange(*rows) * e + (d * 0.5 + e * 0.5 + f)),
-        "spatial_ref": ((), 0, attrs),
-    }
-    return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
+    return xr.DataArray(
+        values,
+        {
+            # half a cell is added to the corner first, like in rioxarray: the same bits
+            "x": ("x", np.arange(*columns) * a + (a * 0.5 + b * 0.5 + c)),
+            "y": ("y", np.arange(*rows) * e + (d * 0.5 + e * 0.5 + f)),
+            "spatial_ref": ((), 0, attrs),
+        },
+        ("y", "x"),
+        attrs=declared,
+    )
 
 
 def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
@@ -471,7 +480,26 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
         has_positions = all(plane is not None and set(plane.dims) == {"y", "x"} for plane in planes)
         if transform is None or not has_positions:
             return None if transform is None else Grid(transform, wkt)
-        computed = _grid_through_positions(dataset, transform)
+        # the grid through ``east`` and ``north`` of the first row and column; a single row or column gets the
+        # step of ``transform``
+        a, b, c, d, e, f = transform
+        tolerance = _TOLERANCE * max(math.hypot(b, e), math.hypot(c, f)) + _ROUNDING
+        corners_and_steps: list[float] = []
+        for name, by_column, by_row in (("east", b, c), ("north", e, f)):
+            plane = dataset[name].transpose("y", "x")
+            steps = []
+            for values, single in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
+                step, deviation = _step_and_deviation(values, single)
+                SchemaError.raise_if(
+                    not deviation <= tolerance,
+                    f"the position of this map is unknown: {name!r} is not evenly spaced",
+                    mend="choose cells at even steps",
+                    code="spacing-uneven",
+                )
+                steps.append(step)
+            corners_and_steps += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
+        a, b, c, d, e, f = corners_and_steps
+        computed = a, b, c, d, e, f
         return Grid(transform if _agree(computed, transform, dataset) else computed, wkt)
     if transform is None:
         if any(dataset.sizes[name] < 2 for name in ("x", "y")):
@@ -509,44 +537,20 @@ def required_grid(dataset: xr.Dataset) -> Grid:
     )
 
 
-def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transform:
-    # Return the grid through ``east`` and ``north`` of the first row and column.
-    # A single row or column gets the step of ``transform``.
-    _, b, c, _, e, f = transform
-    tolerance = _TOLERANCE * max(math.hypot(b, e), math.hypot(c, f)) + _ROUNDING
-    computed: list[float] = []
-    for name, by_column, by_row in (("east", b, c), ("north", e, f)):
-        plane = dataset[name].transpose("y", "x")
-        steps = []
-        for values, single in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
-            step, deviation = _step_and_deviation(values, single)
-            SchemaError.raise_if(
-                not deviation <= tolerance,
-                f"the position of this map is unknown: {name!r} is not evenly spaced",
+def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
+    # Return outer edge of the first pixel and step, of x and y; ``steps`` are used for single pixels.
+    with Problems("the position of this map is unknown", SchemaError) as problems:
+        edges_and_steps = []
+        for name, single in zip("xy", steps, strict=True):
+            centres = np.asarray(dataset[name].values, np.float64)
+            step, deviation = _step_and_deviation(centres, single)
+            problems.add_if(
+                step == 0.0 or not deviation <= _TOLERANCE * abs(step) + _ROUNDING,
+                f"{name!r} is not evenly spaced",
                 mend="choose cells at even steps",
                 code="spacing-uneven",
             )
-            steps.append(step)
-        computed += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
-    a, b, c, d, e, f = computed
-    return a, b, c, d, e, f
-
-
-def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
-    # Return outer edge of the first pixel and step, of x and y; ``steps`` are used for single pixels.
-    problems = Problems("the position of this map is unknown", SchemaError)
-    edges_and_steps = []
-    for name, single in zip("xy", steps, strict=True):
-        centres = np.asarray(dataset[name].values, np.float64)
-        step, deviation = _step_and_deviation(centres, single)
-        problems.add_if(
-            step == 0.0 or not deviation <= _TOLERANCE * abs(step) + _ROUNDING,
-            f"{name!r} is not evenly spaced",
-            mend="choose cells at even steps",
-            code="spacing-uneven",
-        )
-        edges_and_steps.append((float(centres[0] - step / 2.0), step))
-    problems.raise_if_any()
+            edges_and_steps.append((float(centres[0] - step / 2.0), step))
     return edges_and_steps
 
 
@@ -595,28 +599,27 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     # `MissingExtraError`: There is a reference system, and pyproj is not installed.
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
-    problems = Problems("ENVI cannot describe this grid", SchemaError)
-    is_rotated = e != 0.0 or c != 0.0
-    problems.extend(
-        Problem(found, mend=mend, code=code)
-        for is_wrong, found, mend, code in (
-            (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
-            (
-                abs(b * c + e * f) > 1e-9 * width * height,
-                "its rows and columns do not cross at right angles",
-                "",
-                "grid-sheared",
-            ),
-            (
-                is_rotated and abs(width - height) > 1e-9 * width,
-                f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
-                "",
-                "pixels-not-square",
-            ),
+    with Problems("ENVI cannot describe this grid", SchemaError) as problems:
+        is_rotated = e != 0.0 or c != 0.0
+        problems.extend(
+            Problem(found, mend=mend, code=code)
+            for is_wrong, found, mend, code in (
+                (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
+                (
+                    abs(b * c + e * f) > 1e-9 * width * height,
+                    "its rows and columns do not cross at right angles",
+                    "",
+                    "grid-sheared",
+                ),
+                (
+                    is_rotated and abs(width - height) > 1e-9 * width,
+                    f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
+                    "",
+                    "pixels-not-square",
+                ),
+            )
+            if is_wrong
         )
-        if is_wrong
-    )
-    problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
     if is_rotated or b < 0.0:
@@ -812,8 +815,12 @@ def cut_at_dateline(geometry: dict[str, Any]) -> tuple[dict[str, Any], list[floa
     ]
     cut = shapely.orient_polygons(shapely.multipolygons(parts))
     longitude = corners[:, 0] % 360.0
-    box = [float(longitude.min()), south, float(longitude.max()) - 360.0, north]
-    return json.loads(shapely.to_geojson(cut)), box
+    return json.loads(shapely.to_geojson(cut)), [
+        float(longitude.min()),
+        south,
+        float(longitude.max()) - 360.0,
+        north,
+    ]
 
 
 def _crs_fields(grid: Grid) -> dict[str, Any]:
@@ -992,18 +999,18 @@ def draw_geotiff(
     form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
 
-    def save_picture(linear: xr.DataArray, plain: Path, bands: list[tuple[str, dict[str, str]]]) -> None:
-        _write(plain, _picture(linear, stretch), grid, [*_RGB, "alpha"], [*bands, ("alpha", {})], progress)
-
+    rgba, alpha = [*_RGB, "alpha"], ("alpha", dict[str, str]())
     try:
         with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
             if is_picture:
-                save_picture(array, uncompressed, described)
+                _write(uncompressed, _picture(array, stretch), grid, rgba, [*described, alpha], progress)
             else:
                 _write(uncompressed, storable(array), grid, colours, described, progress)
             if picture is not None and nearest is not None:
                 plain = picture.with_name(f"plain-{picture.name}")
-                save_picture(_bands_in(uncompressed, nearest), plain, [described[band] for band in nearest])
+                shown = [*(described[band] for band in nearest), alpha]
+                linear = _bands_in(uncompressed, nearest)
+                _write(plain, _picture(linear, stretch), grid, rgba, shown, progress)
                 copy(plain, picture, driver=form.driver, **form.picture_options)
             if cog:
                 options = form.picture_options if is_picture else form.options
@@ -1092,9 +1099,10 @@ def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
     with rasterio.open(path) as raster:
         (height, width), dtype = raster.shape, raster.dtypes[0]
     rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
-    chunks = (rows, (width,), (len(bands),))
     return xr.DataArray(
-        da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}"),
+        da.map_blocks(
+            read, chunks=(rows, (width,), (len(bands),)), dtype=dtype, name=f"read-{uuid.uuid4().hex}"
+        ),
         dims=("y", "x", BAND),
     )
 
