@@ -49,16 +49,23 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from hyperpaint.base import (
+    ANGLES,
+    NAVIGATION_TIME,
+    Array,
+    Bools,
     Convention,
     Findings,
+    Floats,
     FormatError,
+    Indices,
+    Ints,
     Problem,
     Problems,
     SchemaError,
     TimeError,
+    Times,
     UnitsError,
     as_path,
     conversion_factor,
@@ -119,7 +126,7 @@ _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_US = 86_400_000_000
 
 
-def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
+def gps_to_utc(gps: Ints, leap_seconds: int | None = None) -> Ints:
     """Convert GPS time to UTC.
 
     gps: Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
@@ -150,26 +157,26 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
             "later times; check this value, and pass gps_leap_seconds",
             "leap-seconds-expired",
         )
-    utc: NDArray[np.int64] = gps - offsets[number] * NS_PER_S
+    utc: Ints = gps - offsets[number] * NS_PER_S
     return utc
 
 
-def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
+def nanoseconds(seconds: Floats) -> Ints:
     # Return seconds, finite and below 1e10, as whole nanoseconds without loss of digits.
     whole_seconds = np.floor(seconds)
-    whole_ns: NDArray[np.int64] = whole_seconds.astype(np.int64) * NS_PER_S
+    whole_ns: Ints = whole_seconds.astype(np.int64) * NS_PER_S
     return whole_ns + np.round((seconds - whole_seconds) * NS_PER_S).astype(np.int64)
 
 
-def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+def unwrap_weeks(stamp: Ints) -> Ints:
     # Return nanoseconds of the GPS week that continue to increase in the next week.
     is_new_week = np.diff(stamp) < -(WEEK_S // 2) * NS_PER_S
     weeks = np.concatenate([np.zeros(1, np.int64), np.cumsum(is_new_week, dtype=np.int64)])
-    unwrapped: NDArray[np.int64] = stamp + weeks * (WEEK_S * NS_PER_S)
+    unwrapped: Ints = stamp + weeks * (WEEK_S * NS_PER_S)
     return unwrapped
 
 
-def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
+def instants(texts: Sequence[str]) -> Times:
     # Return texts such as ``2024-06-01T12:00:00.5`` as times [ns]; NaT for dates that do not exist.
     try:
         return np.array(texts, "datetime64[ns]")
@@ -190,9 +197,7 @@ def midnight_of(date: object) -> int | None:
     return None if np.isnat(midnight) else int(midnight.astype(np.int64))
 
 
-def refuse_backwards(
-    name: str, stamp: NDArray[np.int64], rows: NDArray[np.int64] | None = None, row: str = "line"
-) -> None:
+def refuse_backwards(name: str, stamp: Ints, rows: Ints | None = None, row: str = "line") -> None:
     # Refuse a record whose time runs backwards.
     # rows: Numbers of the record's rows in the file, by default from 1 on.
     # Raises TimeError: Time runs backwards; the rows are listed.
@@ -223,7 +228,7 @@ class ClockCorrection:
         )
         one_of(self.time_scale, ("utc", "gps"), "time_scale", error=TimeError)
 
-    def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+    def apply(self, stamp: Ints) -> Ints:
         # Return UTC in nanoseconds since 1970-01-01.
         if self.time_scale == "gps":
             stamp = gps_to_utc(stamp, self.leap_seconds)
@@ -233,12 +238,12 @@ class ClockCorrection:
 @dataclass(frozen=True)
 class Clock:
     # Relation of a clock to UTC, which is interpolated linearly between knots.
-    stamp: NDArray[np.int64]  # microseconds of the clock, strictly increasing, (knot,)
-    utc: NDArray[np.int64]  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
+    stamp: Ints  # microseconds of the clock, strictly increasing, (knot,)
+    utc: Ints  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
     source: str  # file and column of the knots, for messages
     daily: bool = False  # whether stamps are times of day, so that they may be a day early or late
 
-    def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
+    def at(self, stamp: Ints) -> Times:
         # Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot.
         if self.daily:
             stamp = stamp + next((d for d in (0, _DAY_US, -_DAY_US) if overlap(stamp + d, self.stamp)), 0)
@@ -249,14 +254,12 @@ class Clock:
         return np.where(is_inside, utc, NAT).astype("datetime64[ns]")
 
 
-def overlap(first: NDArray[np.int64], second: NDArray[np.int64]) -> bool:
+def overlap(first: Ints, second: Ints) -> bool:
     # Return whether the ranges of two arrays overlap.
     return bool(first.min() <= second.max() and first.max() >= second.min())
 
 
-def bracket(
-    knots: NDArray[np.int64], times: NDArray[np.int64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+def bracket(knots: Ints, times: Ints) -> tuple[Indices, Floats, Bools]:
     # Return the knot before each time, the weight of the next knot, and whether the time is in the range.
     is_inside = (times >= knots[0]) & (times <= knots[-1])
     knot = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, max(len(knots) - 2, 0))
@@ -266,9 +269,9 @@ def bracket(
 
 
 def tie_clock(
-    stamp: NDArray[np.int64],
-    utc: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    stamp: Ints,
+    utc: Ints,
+    rows: Ints,
     source: str,
     *,
     daily: bool = False,
@@ -319,7 +322,6 @@ ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
 )
-ANGLES = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"
 
@@ -330,28 +332,28 @@ class PoseRecord:
 
     name: str  # file name, for messages
     format: str  # name of the format
-    stamp: NDArray[np.int64]  # nanoseconds, (row,)
+    stamp: Ints  # nanoseconds, (row,)
     # Origin of the stamps: 1970-01-01, or the start of a GPS week
     counts_from: Literal["1970", "week"]
     # `POSE` (row,), float64: latitude and longitude [degree], altitude [m], angles in the unit of the
     # convention; NaN where unknown
-    values: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    values: Mapping[str, Floats] = field(repr=False)
     convention: Convention  # of the format or the file
     assumed: tuple[str, ...] = ()  # fields of the convention that are not published
     time_scale: Literal["gps", "utc"] = "gps"  # of the stamps, unless the caller states another
     week: int | None = None  # GPS week that the file states
     leap_seconds: int | None = None  # GPS minus UTC [s] that the file states
     # Further columns (row,) with their attributes
-    others: Mapping[str, tuple[NDArray[Any], Mapping[str, str]]] = field(default_factory=dict, repr=False)
+    others: Mapping[str, tuple[Array, Mapping[str, str]]] = field(default_factory=dict, repr=False)
     attrs: Mapping[str, Any] = field(default_factory=dict)  # further attributes of the dataset
 
 
 def check_poses(
-    values: Mapping[str, NDArray[np.float64]],
+    values: Mapping[str, Floats],
     unit: str,
     problems: Problems,
     row: str,
-    rows: NDArray[np.int64],
+    rows: Ints,
 ) -> None:
     # Note positions and angles that are out of range; NaN is accepted.
     # values: `POSE`: latitude and longitude [degree], altitude [m].
@@ -379,14 +381,14 @@ class Navigation:
     """Content of one ``imu_gps.txt``."""
 
     name: str  # file name, for messages
-    rows: NDArray[np.int64]  # line number in the file of each row
+    rows: Ints  # line number in the file of each row
     # Microseconds (row,) by the name of the clock's column in lower case; ``"time of day"`` counts from
     # midnight of the first row's day
-    stamps: Mapping[str, NDArray[np.int64]]
+    stamps: Mapping[str, Ints]
     # UTC [ns since 1970-01-01] (row,); None if the file contains no date
-    utc: NDArray[np.int64] | None
+    utc: Ints | None
     # `POSE` (row,) [degree, m]; NaN if unknown
-    values: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    values: Mapping[str, Floats] = field(repr=False)
 
     def clock_for(self, index: FrameIndex) -> Clock:
         # Return the relation of the frame index's clock to UTC.
@@ -427,15 +429,13 @@ class Navigation:
         utc = clock.at(stamp).astype(np.int64)
         return replace(self, utc=utc)._of_rows(utc != NAT)
 
-    def _of_rows(self, keep: NDArray[np.bool_]) -> Navigation:
+    def _of_rows(self, keep: Bools) -> Navigation:
         stamps = {name: stamp[keep] for name, stamp in self.stamps.items()}
         values = {name: value[keep] for name, value in self.values.items()}
         utc = None if self.utc is None else self.utc[keep]
         return Navigation(self.name, self.rows[keep], stamps, utc, values)
 
-    def at(
-        self, time: NDArray[np.datetime64], max_gap_s: float | None = None
-    ) -> dict[str, NDArray[np.float64]]:
+    def at(self, time: Times, max_gap_s: float | None = None) -> dict[str, Floats]:
         # Return position and attitude at times, linear between rows.
         #
         # time: UTC [datetime64[ns]], NaT allowed, (along_track,).
@@ -459,7 +459,7 @@ class Navigation:
         steps = np.diff(knots) / NS_PER_S
         gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
         is_covered = is_inside & ((knots[next_knot] - knots[knot]) / NS_PER_S <= gap)
-        poses: dict[str, NDArray[np.float64]] = {}
+        poses: dict[str, Floats] = {}
         for name, value in self.values.items():
             value_before = value[is_new_time][knot]
             difference = value[is_new_time][next_knot] - value_before
@@ -488,9 +488,10 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     # or
     #     contains cells that are not numbers, angles or dates.
     table = read_table(path, "navigation record", needs=list(_COLUMNS))
-    problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    values = {name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()}
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be used as navigation", FormatError) as problems:
+        values = {
+            name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()
+        }
     is_unaligned = np.cumsum(values["roll"] != 0.0) == 0
     has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
     for name in ANGLES:
@@ -498,7 +499,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     for name in ("latitude", "longitude", "altitude"):
         values[name][has_no_position] = np.nan
     utc = _dates(table, _UTC_COLUMN, is_unaligned) if _UTC_COLUMN in table.columns else None
-    stamps: dict[str, NDArray[np.int64]] = {}
+    stamps: dict[str, Ints] = {}
     for column in _CLOCK_COLUMNS:
         if column not in table.columns:
             continue
@@ -519,7 +520,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     if utc is None:
         return record
     # the date of an unaligned row must agree with the aligned rows
-    keep: NDArray[np.bool_] = np.not_equal(utc, NAT)
+    keep: Bools = np.not_equal(utc, NAT)
     is_aligned = keep & ~is_unaligned
     if record.stamps and is_aligned.any():
         offset = utc / 1e9 - next(iter(record.stamps.values())) / 1e6
@@ -530,9 +531,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     )._of_rows(keep)
 
 
-def limited_numbers(
-    table: Table, column: str, limit: float, problems: Problems, empty: str = "-"
-) -> NDArray[np.float64]:
+def limited_numbers(table: Table, column: str, limit: float, problems: Problems, empty: str = "-") -> Floats:
     # Return a column of numbers or NaN; note other cells, and values beyond the limit.
     # empty: Text to parse in place of an empty cell.
     cells = [cell if cell.strip() else empty for cell in table.columns[column]]
@@ -551,7 +550,7 @@ def limited_numbers(
     return numbers
 
 
-def _dates(table: Table, column: str, is_unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _dates(table: Table, column: str, is_unaligned: Bools) -> Ints:
     # Return nanoseconds since 1970-01-01; NaT for an unaligned row without a date.
     dates = instants([_iso_text(cell) for cell in table.columns[column]])
     invalid_rows = table.rows[np.isnat(dates) & ~is_unaligned]
@@ -805,9 +804,9 @@ def read_eph_att(path: str | Path) -> PoseRecord:
 def _record_of(
     path: Path,
     dialect: Dialect,
-    columns: Mapping[str, NDArray[np.float64]],
+    columns: Mapping[str, Floats],
     problems: Problems,
-    rows: NDArray[np.int64] | None = None,
+    rows: Ints | None = None,
 ) -> PoseRecord:
     # Return the record of a file with the columns of a dialect, after checks of times and values. ``rows``:
     # numbers of the rows in the file, by default from 1 on.
@@ -979,7 +978,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         mend="remove one of them",
         code="units-conflict",
     )
-    values: dict[str, NDArray[np.float64]] = {}
+    values: dict[str, Floats] = {}
     for name in POSE:
         target_unit = unit if name in ANGLES else "m" if name == "altitude" else "degree"
         numbers = limited_numbers(table, columns[name].shown, 1e6, problems, empty="nan")
@@ -1104,7 +1103,7 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
 
 def _time_column(
     table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
+) -> tuple[Ints, Bools, str]:
     # Return stamps [ns], whether each row has one, and their origin as in `_CLOCKS`.
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
@@ -1391,9 +1390,8 @@ def _number(text: str) -> float:
 # --- opening -----------------------------------------------------------------------------------------------
 
 #: A file's record, its UTC [ns since 1970-01-01], and attributes that describe the conversion to UTC.
-Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
+Part = tuple[PoseRecord, Ints, dict[str, Any]]
 
-NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -1509,7 +1507,40 @@ def open_navigation(
     >>> scratch.cleanup()
     """  # noqa: E501
     if is_zarr(paths):
-        return _stored_record(paths, convention)
+        stored = load_group(paths)
+        with Problems(f"{paths} cannot be used as navigation", FormatError) as problems:
+            for name in (NAVIGATION_TIME, *POSE):
+                if name not in stored.variables:
+                    problems.add(
+                        f"{name!r} is missing among {', '.join(map(str, stored.variables))[:200]}",
+                        code="variable-missing",
+                    )
+                elif stored[name].dims != (NAVIGATION_TIME,):
+                    problems.add(
+                        f"{name!r} has dims {stored[name].dims}",
+                        expected=f"({NAVIGATION_TIME!r},)",
+                        code="dims-wrong",
+                    )
+                elif name != NAVIGATION_TIME and "units" not in stored[name].attrs:
+                    problems.add(
+                        f"{name!r} has no units",
+                        expected="the units of open_navigation",
+                        code="units-missing",
+                    )
+        stored_times = stored[NAVIGATION_TIME].values
+        TimeError.raise_if(
+            stored_times.dtype.kind != "M" or not stored_times.size or np.isnat(stored_times).any(),
+            f"{paths}: {NAVIGATION_TIME} is {stored_times.dtype}",
+            expected="UTC, datetime64[ns]",
+            code="type-wrong",
+        )
+        refuse_backwards(str(paths), stored_times.astype("datetime64[ns]").astype(np.int64), row="sample")
+        own = Convention.from_attrs(stored.attrs)
+        stored_convention = _convention(
+            str(paths), own or Convention(), ("angle_unit",) if own is None else (), convention
+        )
+        floats = {name: stored[name].astype(np.float64) for name in POSE}
+        return stored.assign(floats).assign_attrs(stored_convention.to_attrs())
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     FormatError.raise_if(
         not files, "an empty list of navigation files", expected="one or more", code="empty-input"
@@ -1624,40 +1655,6 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     )
 
 
-def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    record = load_group(path)
-    problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    for name in (NAVIGATION_TIME, *POSE):
-        if name not in record.variables:
-            problems.add(
-                f"{name!r} is missing among {', '.join(map(str, record.variables))[:200]}",
-                code="variable-missing",
-            )
-        elif record[name].dims != (NAVIGATION_TIME,):
-            problems.add(
-                f"{name!r} has dims {record[name].dims}",
-                expected=f"({NAVIGATION_TIME!r},)",
-                code="dims-wrong",
-            )
-        elif name != NAVIGATION_TIME and "units" not in record[name].attrs:
-            problems.add(
-                f"{name!r} has no units", expected="the units of open_navigation", code="units-missing"
-            )
-    problems.raise_if_any()
-    time = record[NAVIGATION_TIME].values
-    TimeError.raise_if(
-        time.dtype.kind != "M" or not time.size or np.isnat(time).any(),
-        f"{path}: {NAVIGATION_TIME} is {time.dtype}",
-        expected="UTC, datetime64[ns]",
-        code="type-wrong",
-    )
-    refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
-    own = Convention.from_attrs(record.attrs)
-    declared = _convention(str(path), own or Convention(), ("angle_unit",) if own is None else (), convention)
-    values = {name: record[name].astype(np.float64) for name in POSE}
-    return record.assign(values).assign_attrs(declared.to_attrs())
-
-
 # --- one file ----------------------------------------------------------------------------------------------
 
 
@@ -1728,22 +1725,21 @@ class TimeSource:
     def check(self) -> None:
         # Refuse invalid settings, all in one error.
         # Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
-        problems = Problems("the clock settings of the navigation are invalid", TimeError)
-        week, leap, offset = self.week, self.leap_seconds, self.clock_offset_s
-        if self.time_scale is not None:
-            one_of(self.time_scale, ("gps", "utc"), "time_scale", problems=problems)
-        for is_valid, found, expected, code in (
-            (week is None or _is_whole(week, _MAX_GPS_WEEK), f"week {week!r:.40}",
-             "the number of weeks since 1980-01-06, such as 2158", "value-out-of-range"),
-            (leap is None or _is_whole(leap, 100), f"leap_seconds {leap!r:.40}",
-             "GPS minus UTC in whole seconds, such as 18", "value-out-of-range"),
-            (self.date is None or self.midnight is not None, f"date {str(self.date)!r:.40}",
-             "a date such as '2024-06-01'", "time-unreadable"),
-            (offset is None or (is_number(offset) and abs(offset) <= 1e9), f"clock_offset_s {offset!r:.40}",
-             "seconds, -1e9 to 1e9", "value-out-of-range"),
-        ):  # fmt: skip
-            problems.add_if(not is_valid, found, expected=expected, code=code)
-        problems.raise_if_any()
+        with Problems("the clock settings of the navigation are invalid", TimeError) as problems:
+            week, leap, offset = self.week, self.leap_seconds, self.clock_offset_s
+            if self.time_scale is not None:
+                one_of(self.time_scale, ("gps", "utc"), "time_scale", problems=problems)
+            for is_valid, found, expected, code in (
+                (week is None or _is_whole(week, _MAX_GPS_WEEK), f"week {week!r:.40}",
+                 "the number of weeks since 1980-01-06, such as 2158", "value-out-of-range"),
+                (leap is None or _is_whole(leap, 100), f"leap_seconds {leap!r:.40}",
+                 "GPS minus UTC in whole seconds, such as 18", "value-out-of-range"),
+                (self.date is None or self.midnight is not None, f"date {str(self.date)!r:.40}",
+                 "a date such as '2024-06-01'", "time-unreadable"),
+                (offset is None or (is_number(offset) and abs(offset) <= 1e9),
+                 f"clock_offset_s {offset!r:.40}", "seconds, -1e9 to 1e9", "value-out-of-range"),
+            ):  # fmt: skip
+                problems.add_if(not is_valid, found, expected=expected, code=code)
 
     @property
     def midnight(self) -> int | None:
@@ -1756,7 +1752,7 @@ def _is_whole(value: Any, maximum: int) -> bool:
     return is_integer and 0 <= int(value) <= maximum
 
 
-def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
+def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[Ints, dict[str, Any]]:
     # Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that describe the conversion.
     # Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
     #     times before GPS time began.
@@ -1999,8 +1995,7 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
     with needs_extra("pyproj", "geo", "the unit of a map of control points"):
         import pyproj
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             axes = pyproj.CRS.from_user_input(crs).to_2d().axis_info
     except (pyproj.exceptions.CRSError, ValueError):
         axes = []
@@ -2039,7 +2034,12 @@ def column_heading(cell: str) -> tuple[str, str]:
         (
             text
             for text in bracket_texts
-            if _metres(text) or text.lower() in _MAP_COLUMNS.pixels or _is_unit(text)
+            if _metres(text)
+            or text.lower() in (*_MAP_COLUMNS.pixels, "in")
+            # a unit, rather than a label
+            or is_unit(text)
+            or same_dimension(text, "m")
+            or not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
         ),
         "",
     )
@@ -2063,12 +2063,6 @@ def metres_of(name: str, unit: str, problems: Problems) -> float:
 
 def _metres(unit: str) -> float | None:
     return _METRES.get(re.sub(r"[ ._-]", "", unit).lower())
-
-
-def _is_unit(text: str) -> bool:
-    # whether a text in brackets is a unit, rather than a label
-    is_of_pint = is_unit(text) or same_dimension(text, "m") or text.lower() == "in"
-    return is_of_pint or not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
