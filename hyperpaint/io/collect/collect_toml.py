@@ -426,16 +426,18 @@ def _white(reader: _Reader) -> WhiteEntry | None:
             code="option-conflict",
         )
     files = {key: reader.files("[reference]", key, table[key]) for key in ("white", "dark") if key in table}
-    options = {
-        "tile": tile,
-        "tile_uncertainty": table.get("uncertainty"),
-        "tile_surface": _surface(reader, "[reference]", table),
-        "light_zenith": table.get("light_zenith_deg"),
-        "direct_share": table.get("direct_share", 1.0),
-        "white_dark": list(files["dark"]) if "dark" in files else None,
-        "white_exposure_time": _seconds("exposure_time_ms", table),
-    }
-    return WhiteEntry(files.get("white", ()), options)
+    return WhiteEntry(
+        files.get("white", ()),
+        {
+            "tile": tile,
+            "tile_uncertainty": table.get("uncertainty"),
+            "tile_surface": _surface(reader, "[reference]", table),
+            "light_zenith": table.get("light_zenith_deg"),
+            "direct_share": table.get("direct_share", 1.0),
+            "white_dark": list(files["dark"]) if "dark" in files else None,
+            "white_exposure_time": _seconds("exposure_time_ms", table),
+        },
+    )
 
 
 def _cubes(
@@ -627,9 +629,11 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         table = reader.one("dark")
         cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
         dark = cubes or (Unavailable.REPORTED if table["?"] else None)
-    shared = {key: camera[key] for key in keys if key in camera}
-    shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
-    shared["has_white"] = bool(reader.tables["reference"])
+    shared = {key: camera[key] for key in keys if key in camera} | {
+        "dark": dark,
+        "convention": values(reader.one("navigation")),
+        "has_white": bool(reader.tables["reference"]),
+    }
     reader.problems.add_if(
         not tables,
         "no [[flightlines]]",
@@ -639,8 +643,10 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
     entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
     # in lower case, as some file systems ignore case; joined cubes of a pattern have the id of their table
-    names = [str(entry.name).lower() for entry in entries]
-    names += [line_id.lower() for cubes, line_id in reader.flights if cubes and line_id]
+    names = [
+        *(str(entry.name).lower() for entry in entries),
+        *(line_id.lower() for cubes, line_id in reader.flights if cubes and line_id),
+    ]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
             f"[[flightlines]] {names.count(name)} lines have the id {name!r}",
@@ -701,10 +707,8 @@ def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) 
     # Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
     # files; all problems are listed.
     path = input_path(path, "a collect.toml")
-    problems = Problems(f"{origin_of(path)} cannot be processed", CollectError)
-    collect = parse_collect(path, problems, need_irradiance=need_irradiance)
-    problems.raise_if_any()
-    return collect
+    with Problems(f"{origin_of(path)} cannot be processed", CollectError) as problems:
+        return parse_collect(path, problems, need_irradiance=need_irradiance)
 
 
 @dataclass(frozen=True)
@@ -825,22 +829,37 @@ def open_with_settings(
         spans = [span for error in uncovered.values() for span in error.lines]
         others = [stamps[~np.isnat(stamps)] for stamps in times]
         findings.errors.append(UncoveredError.of(irradiance, spans, subject, others))
-    references = dict(_opened_references(collect.references, findings))
+    # the files of each field spectrometer must have one set of wavelengths
+    references = {}
+    for reference in collect.references:
+        if not reference.files:  # their fault is reported already
+            continue
+        with findings.step():
+            spectra = open_spectra(reference.files)
+            CollectError.raise_if(
+                len(spectra) > 1,
+                f"[[references]] {reference.instrument!r}: files of {len(spectra)} kinds of instruments",
+                mend="write one [[references]] for each instrument",
+                code="instrument-mixed",
+            )
+            label = (
+                {} if reference.group == reference.instrument else {"instrument_name": reference.instrument}
+            )
+            references[reference.group] = spectra[0].assign_attrs(label)
     # equal errors of several lines are reported once
     problems.extend(
         error.problem if isinstance(error, PaintError) else Problem(text, code="input-unreadable")
         for text, error in {str(error): error for error in findings.errors}.items()
     )
     problems.raise_if_any()
-    groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined_lines = dict(_joined_lines(collect, lines, irradiance))
-    groups |= {f"/flightlines/{name}": line for name, (line, _) in joined_lines.items()}
-    groups |= {
-        name: shared
-        for name, shared in {"/irradiance": irradiance, "/calibration": calibration}.items()
-        if isinstance(shared, xr.Dataset)
+    shared_groups = {"/irradiance": irradiance, "/calibration": calibration}
+    groups = {
+        "/": xr.Dataset(attrs={"name": collect.name, "source": path.name}),
+        **{f"/flightlines/{name}": line for name, (line, _) in joined_lines.items()},
+        **{name: shared for name, shared in shared_groups.items() if isinstance(shared, xr.Dataset)},
+        **{f"/references/{name}": dataset for name, dataset in references.items()},
     }
-    groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
     members = {f"flightlines/{name}": cubes for name, (_, cubes) in joined_lines.items()}
     return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)
 
@@ -868,25 +887,6 @@ def _joined_lines(
                 )
                 joined_name = line_id if line_id and len(joined_lines) == 1 else members[0]
                 yield joined_name, (joined.assign_attrs(name=joined_name), members)
-
-
-def _opened_references(
-    entries: tuple[ReferenceEntry, ...], findings: Findings
-) -> Iterator[tuple[str, xr.Dataset]]:
-    # Open the files of each field spectrometer, which must have one set of wavelengths
-    for entry in entries:
-        if not entry.files:  # their fault is reported already
-            continue
-        with findings.step():
-            opened = open_spectra(entry.files)
-            CollectError.raise_if(
-                len(opened) > 1,
-                f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments",
-                mend="write one [[references]] for each instrument",
-                code="instrument-mixed",
-            )
-            label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
-            yield entry.group, opened[0].assign_attrs(label)
 
 
 # --- cubes of one flight as one line, where the recording continues from cube to cube ----------------------

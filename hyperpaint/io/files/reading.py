@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from hyperpaint.base import (
     Facts,
     FormatError,
+    Ints,
     PaintError,
     Problem,
     Problems,
@@ -206,8 +206,7 @@ _FOREIGN = tuple(
 def foreign_format(path: str | os.PathLike[str], *, is_binary: bool = False) -> Problem | None:
     # Return the problem of a file in a recognised format that the caller does not read, with the way out;
     # None for other files. ``is_binary``: whether the caller reads binary files without a mark.
-    head = head_of(path, 8192)
-    head = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
+    head = head_of(path, 8192).removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     for pattern, name, mend in _FOREIGN:
         if pattern.match(head):
             return Problem(name, mend=mend, code="format-unknown")
@@ -478,7 +477,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
 class Table:
     # A text table with one header line, and cells as text.
     name: str  # File name, for messages
-    rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
+    rows: Ints  # Line number in the file of each row, the header being line 1
     columns: Mapping[str, list[str]]  # Column name in lower case to cells
 
 
@@ -572,7 +571,7 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
     return Table(path.name, np.array(numbers, np.int64), columns)
 
 
-def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
+def name_rows(rows: Sequence[int] | Ints, row: str = "line") -> str:
     # Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row.
     rows_text = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
@@ -580,7 +579,7 @@ def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str
     return f"{row}s {rows_text}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
 
 
-def to_integers(table: Table, name: str) -> NDArray[np.int64]:
+def to_integers(table: Table, name: str) -> Ints:
     # Return a column of whole numbers.
     #
     # Raises `FormatError`: Cells are not whole numbers; their lines are named.

@@ -32,6 +32,7 @@ from hyperpaint.base import (
     CHUNK_LINES,
     CROSS_TRACK,
     CUBE,
+    ELEMENT,
     MAX_STRAY_LIGHT_U,
     SRF_SHAPES,
     STEP,
@@ -75,7 +76,7 @@ from hyperpaint.io.store import (
 
 _MAX_FRAME = 1 << 40
 _SECOND_US = 1_000_000
-_DAY_US = 86_400 * _SECOND_US
+DAY_US = 86_400 * _SECOND_US
 _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
 #: Keys of the exposure [ms] and of the frame rate [Hz] in headers of Specim and Resonon.
@@ -335,8 +336,9 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
             continue
         hours, minutes, seconds, micros, fraction = match.groups()
         whole_seconds = whole_seconds and micros is None and fraction is None
-        micros_of_day[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND_US + int(seconds) * _SECOND_US
-        micros_of_day[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
+        seconds_of_day = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+        below_second = int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
+        micros_of_day[place] = seconds_of_day * _SECOND_US + below_second
     FormatError.raise_if(
         faulty_rows,
         f"{table.name}: column {name!r} is unreadable in {name_rows(faulty_rows)}",
@@ -344,8 +346,8 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
         code="time-unreadable",
     )
     # a decrease by more than half a day is midnight
-    days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY_US // 2)])
-    return micros_of_day + days * _DAY_US, whole_seconds
+    days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -DAY_US // 2)])
+    return micros_of_day + days * DAY_US, whole_seconds
 
 
 def cube_number(cube: Path) -> int | None:
@@ -490,8 +492,7 @@ _OF_STEP = (
 )  # fmt: skip
 #: Units of columns without one.
 _ASSUMED = {unit: unit for unit in ("1", "count", "electron count-1")}
-_INDICES = (BAND, CROSS_TRACK)
-_DIMS = (STEP, *_INDICES)
+_DIMS = (STEP, *ELEMENT)
 
 
 def read_sweep_table(path: Path) -> xr.Dataset:
@@ -512,7 +513,7 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     wide = [name for name in columns if _WIDE.fullmatch(name)]
     # factors from units of the columns to those of the variables of a sweep
     factors = {}
-    known = (*_OF_STEP, "counts", *_INDICES, "cube")
+    known = (*_OF_STEP, "counts", *ELEMENT, "cube")
     for name, unit in headings:
         if name in SWEEP_VARIABLES:
             wanted = SWEEP_VARIABLES[name].units
@@ -636,8 +637,12 @@ def _array(step: str, counts: Mapping[tuple[float, float], float]) -> xr.DataArr
         expected=f"{bands} bands times {columns} columns",
         code="shape-mismatch",
     )
-    values = [[[counts[band, column] for column in range(columns)] for band in range(bands)]]
-    return xr.DataArray(np.array(values, np.float32), dims=("frame", *_INDICES))
+    return xr.DataArray(
+        np.array(
+            [[[counts[band, column] for column in range(columns)] for band in range(bands)]], np.float32
+        ),
+        dims=("frame", *ELEMENT),
+    )
 
 
 def _sweep(
@@ -686,7 +691,6 @@ def _sweep(
 
 # --- tables of a sweep -------------------------------------------------------------------------------------
 
-_ELEMENT = (BAND, CROSS_TRACK)
 #: Required and optional variables of a calibration; `hyperpaint.base.schema` has their units and dims.
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")
 _OPTIONAL = (
@@ -947,7 +951,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         )
     if shape is not None:
         one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
-    sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
+    sizes = {name: size for name, size in dataset.sizes.items() if name in ELEMENT}
     problems.raise_if_any(
         (
             any(size == 0 for size in sizes.values()),
@@ -960,7 +964,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     # further variables of the elements are kept
     for key, array in dataset.data_vars.items():
         in_table = str(key) in VARIABLES
-        if not in_table and array.ndim and set(array.dims) <= set(_ELEMENT) and array.dtype.kind in "fiu":
+        if not in_table and array.ndim and set(array.dims) <= set(ELEMENT) and array.dtype.kind in "fiu":
             arrays[str(key)] = array
     coords = {
         name: arrays.pop(name) for name in list(arrays) if name in VARIABLES and VARIABLES[name].coordinate
