@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from hyperpaint.base import (
     ALONG_TRACK,
@@ -25,17 +24,24 @@ from hyperpaint.base import (
     CHUNK_LINES,
     CROSS_TRACK,
     CUBE,
+    ELEMENT,
     MID_EXPOSURE_OFFSETS,
     QUANTISATION_VARIANCE_COUNT2,
     VARIABLES,
+    Array,
+    Bools,
     Convention,
     Findings,
+    Floats,
     FormatError,
+    Indices,
+    Ints,
     PaintError,
     Problem,
     Problems,
     SchemaError,
     TimeError,
+    Times,
     Unavailable,
     as_path,
     conversion_factor,
@@ -69,6 +75,7 @@ from hyperpaint.io.navigation.navigation_records import (
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance, record_attrs
 
 from .side_files import (
+    DAY_US,
     DarkFrames,
     FrameIndex,
     calibration_parts,
@@ -146,11 +153,10 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     columns: dict[str, Any] = {}
     for name in sorted(set(names), key=lambda name: (order.get(name, len(order)), name)):
         values = line[name].values
-        if values.dtype.kind not in "iufbM":
-            continue
-        units = line[name].attrs.get("units")
-        plain = units in (None, "", "1") or values.dtype.kind in "Mb" or "," in str(units)
-        columns[name if plain else f"{name} [{units}]"] = np.broadcast_to(values, (lines,))
+        if values.dtype.kind in "iufbM":
+            units = line[name].attrs.get("units")
+            plain = units in (None, "", "1") or values.dtype.kind in "Mb" or "," in str(units)
+            columns[name if plain else f"{name} [{units}]"] = np.broadcast_to(values, (lines,))
     convention = Convention.from_attrs(line.attrs)
     declared = {} if convention is None else convention.to_attrs()
     with (
@@ -179,7 +185,6 @@ def _texts(values: Any) -> list[str]:
 # --- times of the lines ------------------------------------------------------------------------------------
 
 _MAX_EXPOSURE_S = 3600.0
-_DAY_US = 86_400_000_000
 #: Source of the times of lines without times.
 UNKNOWN_TIMES = "unknown"
 _MAX_INTERVAL_S = 1e4
@@ -210,11 +215,11 @@ class Timing:
 class LineTimes:
     # Times and poses of the lines of a cube.
 
-    frame: NDArray[np.int64]  #: (along_track,): Frame numbers.
-    recorded: NDArray[np.bool_]  #: (along_track,): False where the frame was dropped and the line is blank.
-    time: NDArray[np.datetime64]  #: (along_track,): UTC at mid exposure, NaT where unknown.
+    frame: Ints  #: (along_track,): Frame numbers.
+    recorded: Bools  #: (along_track,): False where the frame was dropped and the line is blank.
+    time: Times  #: (along_track,): UTC at mid exposure, NaT where unknown.
     #: ``latitude`` to ``heading`` (along_track,), float64, by name; empty without navigation.
-    pose: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    pose: Mapping[str, Floats] = field(repr=False)
     dropped: int  #: Number of frames missing between the first and the last line, blank lines included.
     source: str  #: Source of the times.
 
@@ -274,7 +279,7 @@ def line_times(
     cube: Path,
     lines: int,
     timing: Timing,
-    exposure_time: float | NDArray[np.float64] = 0.0,
+    exposure_time: float | Floats = 0.0,
     *,
     shortened: bool = False,
 ) -> LineTimes:
@@ -293,23 +298,22 @@ def line_times(
     #
     # Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
     # contradict; stamps of whole seconds.
-    problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
-    exposure_s = float(np.max(exposure_time, initial=0.0))
-    problems.add_if(
-        exposure_s > _MAX_EXPOSURE_S,
-        f"an exposure of {exposure_s:g} s",
-        expected=f"at most {_MAX_EXPOSURE_S:g} s",
-        code="value-out-of-range",
-    )
-    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+    with Problems("the clocks of the flight cannot be used as described", TimeError) as problems:
+        one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+        exposure_s = float(np.max(exposure_time, initial=0.0))
         problems.add_if(
-            seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S,
-            f"{name} {seconds} s",
-            expected="a positive number",
+            exposure_s > _MAX_EXPOSURE_S,
+            f"an exposure of {exposure_s:g} s",
+            expected=f"at most {_MAX_EXPOSURE_S:g} s",
             code="value-out-of-range",
         )
-    problems.raise_if_any()
+        for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+            problems.add_if(
+                seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S,
+                f"{name} {seconds} s",
+                expected="a positive number",
+                code="value-out-of-range",
+            )
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
     nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
     if index is None:
@@ -322,7 +326,19 @@ def line_times(
     time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
     if index is not None:
         time[recorded] = clock.at(index.stamp[row[recorded]])
-        _check_rate(index, row[recorded], timing, exposure_time, cube)
+        if index.fitted:
+            text = f"{index.name} has whole seconds: line times are from a straight line fit"
+            warn_user(f"{cube.name}: {text}", "time-rounded")
+        # warn where stated period, exposure and stamps contradict one another
+        rows, stated = row[recorded], timing.frame_period
+        if len(rows) > 1:
+            period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
+            if stated and abs(period / stated - 1.0) > 0.05:
+                text = f"{index.name} has {period * 1e3:.4g} ms a frame; its stamps are used"
+                warn_user(f"{cube.name}: frame_period {stated * 1e3:g} ms, but {text}", "frame-rate-conflict")
+            if exposure_s > 1.01 * period:
+                text = f"is longer than the {period * 1e3:.4g} ms between frames; check its unit"
+                warn_user(f"{cube.name}: exposure {exposure_s * 1e3:g} ms {text}", "exposure-too-long")
     else:
         time = clock.at(np.zeros(1, np.int64)) + np.round(
             (frame - frame[0]) * (NS_PER_S * float(timing.frame_period or 0.0))
@@ -350,7 +366,7 @@ def line_times(
 
 
 def _clock(
-    timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
+    timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: Indices, cube: Path
 ) -> Clock:
     if timing.start_time is not None:
         TimeError.raise_if(
@@ -407,34 +423,8 @@ def _clock(
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
     # A clock without drift, from one stamp and its UTC
-    span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
+    span = np.array([-10 * DAY_US, 10 * DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
-
-
-def _check_rate(
-    index: FrameIndex,
-    rows: NDArray[np.intp],
-    timing: Timing,
-    exposure_time: float | NDArray[np.float64],
-    cube: Path,
-) -> None:
-    # Warn where stated period, exposure and stamps contradict one another
-    def warn(text: str, code: str) -> None:
-        warn_user(f"{cube.name}: {text}", code)
-
-    if index.fitted:
-        warn(f"{index.name} has whole seconds: line times are from a straight line fit", "time-rounded")
-    if len(rows) < 2:
-        return
-    period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
-    stated = timing.frame_period
-    if stated and abs(period / stated - 1.0) > 0.05:
-        text = f"{index.name} has {period * 1e3:.4g} ms a frame; its stamps are used"
-        warn(f"frame_period {stated * 1e3:g} ms, but {text}", "frame-rate-conflict")
-    exposure_s = float(np.max(exposure_time))
-    if exposure_s > 1.01 * period:
-        text = f"exposure {exposure_s * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
-        warn(f"{text}; check its unit", "exposure-too-long")
 
 
 # --- darks -------------------------------------------------------------------------------------------------
@@ -443,7 +433,6 @@ DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
 #: Minimum number of lines of a dark cube for an estimate of read noise.
 MIN_NOISE_LINES = 16
-_ELEMENT = (BAND, CROSS_TRACK)
 
 
 @dataclass(frozen=True)
@@ -480,7 +469,7 @@ class Reference(NamedTuple):
     frames: DarkFrames
     time: np.datetime64 | None
     exposure: float | None
-    wavelength: NDArray[np.float64] | None  #: (band,) of its header [nm]
+    wavelength: Floats | None  #: (band,) of its header [nm]
 
 
 def open_dark(
@@ -503,11 +492,11 @@ def open_dark(
         ),
         code="dark-missing",
     )
-    shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
+    shape = None if cube is None else tuple(cube.sizes[dim] for dim in ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
         if shape is None:
             return None
-        zeros = label(xr.DataArray(np.zeros(shape, np.float32), dims=_ELEMENT), "dark_counts", dark="none")
+        zeros = label(xr.DataArray(np.zeros(shape, np.float32), dims=ELEMENT), "dark_counts", dark="none")
         return Dark(zeros, (None,), None, DARK_NONE)
     if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
         return None if calibration is None else _from_dark_counts(calibration, shape, "the calibration")
@@ -537,7 +526,7 @@ def open_dark(
         counts = label(
             xr.DataArray(
                 np.stack([ref.frames.mean for ref in references]).astype(np.float32),
-                dims=("dark_time", *_ELEMENT),
+                dims=("dark_time", *ELEMENT),
             ),
             "dark_counts",
         )
@@ -583,7 +572,7 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
         dataset, ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"]), "a dark correction"
     )
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
-    check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
+    check_shape(tuple(counts.sizes[dim] for dim in ELEMENT), shape, f"dark_counts of {name}")
     SchemaError.raise_if(
         not np.isfinite(counts.values).any(), f"dark_counts of {name} have no finite value", code="not-finite"
     )
@@ -678,8 +667,8 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None  # such as a time without a zone
 
 
-def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
-    return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)
+def _labelled(values: Array, name: str) -> xr.DataArray:
+    return label(xr.DataArray(values.astype(np.float32), dims=ELEMENT), name)
 
 
 # --- flight lines ------------------------------------------------------------------------------------------
@@ -916,7 +905,60 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if "values" in opened and inputs.radiance_units:
             opened = opened.rename(values="radiance")
         is_counts = "counts" in opened
-        cube = _check_cube(opened, inputs)
+        # Variable ``counts`` or ``radiance`` in sensor geometry, with units
+        cube_path = inputs.path
+        cube_name = next((cube_name for cube_name in ("counts", "radiance") if cube_name in opened), None)
+        if cube_name is None:
+            FormatError.raise_if(
+                "values" in opened and opened["values"].dtype.kind in "iu",
+                f"{cube_path}: integers of an undeclared quantity",
+                mend="pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
+                "or radiance_units=",
+                code="quantity-ambiguous",
+            )
+            raise FormatError(
+                f"{cube_path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
+                expected="raw counts, or radiance with radiance_units",
+                code="quantity-wrong",
+            )
+        cube = opened[cube_name]
+        units = inputs.radiance_units or cube.attrs.get("units")
+        refuse(
+            str(cube_path),
+            (
+                set(cube.dims) != set(CUBE),
+                Problem(
+                    f"dims {tuple(map(str, cube.dims))}",
+                    expected=f"{CUBE} (sensor geometry, not a map)",
+                    code="dims-wrong",
+                ),
+            ),
+            (
+                not all(cube.sizes.values()),
+                Problem(f"an empty cube of sizes {dict(cube.sizes)}", code="empty-input"),
+            ),
+            (
+                cube_name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
+                Problem(
+                    f"samples are {cube.dtype}",
+                    expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
+                    code="type-wrong",
+                ),
+            ),
+            (
+                cube_name == "radiance" and units is None,
+                Problem(
+                    "radiance without units",
+                    mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
+                    code="units-missing",
+                ),
+            ),
+        )
+        if cube_name == "radiance":
+            cube = cube.assign_attrs(units=units)
+            # raises for an unreadable unit now, so that it is listed with the other problems
+            conversion_factor(str(units), VARIABLES[cube_name].units)
+        cube = cube if cube.dims == CUBE else cube.transpose(*CUBE)
     exposure, exposure_source = findings.attempt(
         find_exposure, inputs.exposure_time, on_disk, path.name, opened, required=is_counts
     ) or (None, "")
@@ -1002,63 +1044,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 # --- cube --------------------------------------------------------------------------------------------------
 
 
-def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
-    # Variable ``counts`` or ``radiance`` in sensor geometry, with units
-    path = inputs.path
-    name = next((name for name in ("counts", "radiance") if name in opened), None)
-    if name is None:
-        FormatError.raise_if(
-            "values" in opened and opened["values"].dtype.kind in "iu",
-            f"{path}: integers of an undeclared quantity",
-            mend="pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
-            "or radiance_units=",
-            code="quantity-ambiguous",
-        )
-        raise FormatError(
-            f"{path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
-            expected="raw counts, or radiance with radiance_units",
-            code="quantity-wrong",
-        )
-    cube = opened[name]
-    units = inputs.radiance_units or cube.attrs.get("units")
-    refuse(
-        str(path),
-        (
-            set(cube.dims) != set(CUBE),
-            Problem(
-                f"dims {tuple(map(str, cube.dims))}",
-                expected=f"{CUBE} (sensor geometry, not a map)",
-                code="dims-wrong",
-            ),
-        ),
-        (
-            not all(cube.sizes.values()),
-            Problem(f"an empty cube of sizes {dict(cube.sizes)}", code="empty-input"),
-        ),
-        (
-            name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
-            Problem(
-                f"samples are {cube.dtype}",
-                expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
-                code="type-wrong",
-            ),
-        ),
-        (
-            name == "radiance" and units is None,
-            Problem(
-                "radiance without units",
-                mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
-                code="units-missing",
-            ),
-        ),
-    )
-    if name == "radiance":
-        cube = cube.assign_attrs(units=units)
-        # raises for an unreadable unit now, so that it is listed with the other problems
-        conversion_factor(str(units), VARIABLES[name].units)
-    return cube if cube.dims == CUBE else cube.transpose(*CUBE)
-
-
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
     # Chunk the cube, convert it, and blank its dropped lines, without reading samples
     name = str(cube.name)
@@ -1082,9 +1067,7 @@ def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -
     return label(cube, name)
 
 
-def _blank(
-    block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
-) -> NDArray[Any]:
+def _blank(block: Array, dropped: Indices, block_info: Mapping[Any, Any] | None = None) -> Array:
     # A block of lines with its dropped lines blanked
     start, stop = (block_info or {})[0]["array-location"][0]
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
