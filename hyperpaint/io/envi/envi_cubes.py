@@ -37,7 +37,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
@@ -706,7 +705,6 @@ class EnviArray(BackendArray):
             return samples
         # a view of the same memory, axes in the order of the file
         in_file_order = samples.transpose(np.argsort(self.axes))
-        indices = [positions[axis] for axis in np.argsort(self.axes)]
         with open_data(self.path) as (file, size, version):
             # Raise FormatError if the file has changed since it was opened: its layout may differ.
             FormatError.raise_if(
@@ -716,8 +714,7 @@ class EnviArray(BackendArray):
                 mend="open it again",
                 code="file-changed",
             )
-            # complete successive planes of the file are read in one piece
-            planes, rows, columns = indices
+            planes, rows, columns = (positions[axis] for axis in np.argsort(self.axes))
             _, height, width = self.file_shape
             if (
                 self.axes == (0, 1, 2)
@@ -725,45 +722,41 @@ class EnviArray(BackendArray):
                 and np.array_equal(rows, np.arange(height))
                 and np.array_equal(columns, np.arange(width))
             ):
+                # complete successive planes of the file are read in one piece
                 self.fill_samples(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
             else:
-                self._gather(file, indices, in_file_order)
+                # read blocks of file lines around the requested samples, and keep these samples; lines of
+                # the file are counted through all planes
+                lines = (planes[:, np.newaxis] * height + rows).ravel()
+                first, last = int(columns[0]), int(columns[-1])
+                gap_bytes = (np.diff(lines) * width - (last - first + 1)) * self.stored.itemsize
+                lines_per_box = max(1, _MAX_BOX_BYTES // (width * self.stored.itemsize))
+                is_break = (
+                    (gap_bytes > _MAX_GAP_BYTES)
+                    | (np.diff((lines - lines[0]) // lines_per_box) != 0)
+                    | (np.diff(lines) < 0)  # a plane that is repeated
+                )
+                edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
+                plane, row = np.unravel_index(np.arange(len(lines)), in_file_order.shape[:2])
+                blocks: Iterator[bytes] | None = None
+                if isinstance(file, RemoteData):  # all requests run at once
+                    starts = lines[edges[:-1]] * width + first
+                    stops = lines[np.array(edges[1:]) - 1] * width + last + 1
+                    places = (self.offset + limits * self.stored.itemsize for limits in (starts, stops))
+                    blocks = iter(file.pieces(*(limits.tolist() for limits in places)))
+                for start, stop in itertools.pairwise(edges):
+                    first_line = int(lines[start])
+                    buffer = np.empty((int(lines[stop - 1]) - first_line + 1, width), self.stored)
+                    buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * width + last + 1]
+                    if blocks is None:
+                        self.fill_samples(file, first_line * width + first, buffer_part)
+                    else:
+                        buffer_part[:] = np.frombuffer(next(blocks), self.stored)
+                    block = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
+                    in_file_order[plane[start:stop], row[start:stop]] = block[:, _selector(columns)]
         return samples
-
-    def _gather(self, file: io.RawIOBase, indices: list[Ints], out: Array) -> None:
-        # Read blocks of file lines around the requested samples, and keep these samples.
-        planes, rows, samples = indices
-        columns = self.file_shape[2]
-        # lines of the file, counted through all planes
-        lines = (planes[:, np.newaxis] * self.file_shape[1] + rows).ravel()
-        first, last = int(samples[0]), int(samples[-1])
-        gaps = np.diff(lines) * columns - (last - first + 1)
-        lines_per_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
-        is_break = (gaps * self.stored.itemsize > _MAX_GAP_BYTES) | (
-            np.diff((lines - lines[0]) // lines_per_box) != 0
-        )
-        is_break |= np.diff(lines) < 0  # a plane that is repeated
-        edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
-        plane_and_row = np.unravel_index(np.arange(len(lines)), out.shape[:2])
-        columns_kept = _selector(samples)
-        blocks: Iterator[bytes] | None = None
-        if isinstance(file, RemoteData):  # all requests run at once
-            starts = lines[edges[:-1]] * columns + first
-            stops = lines[np.array(edges[1:]) - 1] * columns + last + 1
-            places = (self.offset + limits * self.stored.itemsize for limits in (starts, stops))
-            blocks = iter(file.pieces(*(limits.tolist() for limits in places)))
-        for start, stop in itertools.pairwise(edges):
-            first_line = int(lines[start])
-            buffer = np.empty((int(lines[stop - 1]) - first_line + 1, columns), self.stored)
-            buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
-            if blocks is None:
-                self.fill_samples(file, first_line * columns + first, buffer_part)
-            else:
-                buffer_part[:] = np.frombuffer(next(blocks), self.stored)
-            rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
-            out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 
     def fill_samples(self, file: io.RawIOBase, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.
@@ -1019,10 +1012,16 @@ def open_envi(
     )
     if array.scaling is None and header.data_ignore_value is not None:
         attrs["data_ignore_value"] = header.data_ignore_value
-    chunks = dict(zip(dims, array.shape, strict=True))
-    chunks[dims[0]] = min(CHUNK_LINES, lines)
     variable = xr.Variable(
-        dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
+        dims,
+        indexing.LazilyIndexedArray(array),
+        attrs,
+        encoding={
+            "preferred_chunks": {
+                **dict(zip(dims, array.shape, strict=True)),
+                dims[0]: min(CHUNK_LINES, lines),
+            }
+        },
     )
     # fastpath: otherwise xarray imports dask to check the type of the values, which takes longer than the
     # rest
@@ -1540,7 +1539,7 @@ class _Target:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, lock=threading.Lock())
 
-    def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
+    def __setitem__(self, region: tuple[slice, slice, slice], block: Array) -> None:
         block = np.ascontiguousarray(block, self.dtype.newbyteorder("<"))
         starts = [part.indices(size)[0] for part, size in zip(region, self.shape, strict=True)]
         _, rows, columns = self.shape
