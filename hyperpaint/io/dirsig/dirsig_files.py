@@ -242,7 +242,7 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
             axis, emissivity = np.array(rows.split(), np.float64).reshape(-1, 2).T.copy()
             subject = f"curve {number}, from line {line}"
             # the first check that fails is reported
-            checks = (
+            for is_wrong, found, expected, mend, code in (
                 (
                     not is_new and not np.array_equal(axis, _WAVENUMBERS),
                     f"{subject}: {len(axis)} rows",
@@ -275,8 +275,7 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
                     "divide percent by 100",
                     "value-out-of-range",
                 ),
-            )
-            for is_wrong, found, expected, mend, code in checks:
+            ):
                 if is_wrong:
                     problems.add(found, expected=expected, mend=mend, code=code)
                     break
@@ -324,7 +323,6 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     members = 1.0 - np.array([curve.emissivity for curve in file.curves])
     centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)
     about_centre = {"units": "1", "long_name": "Reflectance, mean of the curves"}
-    about_members = {"units": "1", "long_name": "Reflectance of a curve"}
     # nm rounded to the decimals that are written, so that reading and writing again gives the same text
     return xr.Dataset(
         {
@@ -332,7 +330,7 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
             "member_reflectance": (
                 (SIGNATURE, MEMBER, BAND),
                 members[np.newaxis].astype(np.float32),
-                about_members,
+                {"units": "1", "long_name": "Reflectance of a curve"},
             ),
         },
         {

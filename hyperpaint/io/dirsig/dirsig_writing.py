@@ -205,11 +205,12 @@ class PaintCurves:
         is_outside = low >= measured[1] or high <= measured[0]
         limit = np.inf if self.extrapolate is True else float(self.extrapolate)
         if is_outside or max(measured[0] - low, high - measured[1]) > limit:
-            advice = "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends"
             raise SchemaError(
                 f"measured {measured[0]:g} to {measured[1]:g} nm",
                 expected=f"{low:g} to {high:g} nm",
-                mend="leave the paint out, or choose a range within" if is_outside else advice,
+                mend="leave the paint out, or choose a range within"
+                if is_outside
+                else "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
                 code="wavelength-uncovered",
             )
         # usable bands within the range, and the next band beyond each end, so that the range is covered
@@ -590,59 +591,60 @@ def write_dirsig(
     problems.raise_if_any()
     # clear coats of the paints: `specular` is their reflectance at normal incidence [1], or "library" for
     # the mean of `specular_reflectance`
-    problems = Problems("clear coats cannot be written", SchemaError)
-    is_from_library = specular == "library"
-    has_specular = _SPECULAR in library.variables
-    try:
-        declared = mirror_reflection(library)
-    except SchemaError as error:
-        problems.add_error("", error)
-        declared = None
-    if is_from_library and has_specular:
-        mirrored = require(library, [_SPECULAR], "DIRSIG materials", _ROWS)[_SPECULAR]
-        values = np.nan_to_num(mirrored.astype(np.float64).mean(BAND).values)
-    else:
-        level = 0.0 if is_from_library else float(specular) if is_number(specular) else np.nan
-        values = np.full(library.sizes[SIGNATURE], level)
-    for is_wrong, found, expected, mend, option, code in (
-        (
-            not ((values >= 0.0) & (values < _MOST_COAT)).all(),
-            f"specular={specular!r}" + (f" of up to {values.max():g}" if is_from_library else ""),
-            f"0 to below {_MOST_COAT:g}, or 'library'",
-            "pass the reflectance of the coat at normal incidence, such as 0.04",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            not (is_number(roughness) and 0.0 <= roughness <= 1.0),
-            f"roughness={roughness!r}",
-            "0 to 1",
-            "",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            is_from_library and not has_specular,
-            "specular='library', but the library has no specular_reflectance (signature, band)",
-            "",
-            "",
-            "",
-            "variable-missing",
-        ),
-        (
-            # without a declaration the coat is taken as included, so that it cannot count twice
-            specular != 0.0 and (declared or INCLUDED) == INCLUDED and (not is_from_library or has_specular),
-            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
-            "would count twice",
-            "",
-            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
-            "leave specular out, or give body reflectance (signatures --specular-sky)",
-            "coat-counted-twice",
-        ),
-    ):
-        problems.add_if(is_wrong, found, expected=expected, mend=mend, option=option, code=code)
-    problems.raise_if_any()
+    with Problems("clear coats cannot be written", SchemaError) as problems:
+        is_from_library = specular == "library"
+        has_specular = _SPECULAR in library.variables
+        try:
+            declared = mirror_reflection(library)
+        except SchemaError as error:
+            problems.add_error("", error)
+            declared = None
+        if is_from_library and has_specular:
+            mirrored = require(library, [_SPECULAR], "DIRSIG materials", _ROWS)[_SPECULAR]
+            values = np.nan_to_num(mirrored.astype(np.float64).mean(BAND).values)
+        else:
+            level = 0.0 if is_from_library else float(specular) if is_number(specular) else np.nan
+            values = np.full(library.sizes[SIGNATURE], level)
+        for is_wrong, found, expected, mend, option, code in (
+            (
+                not ((values >= 0.0) & (values < _MOST_COAT)).all(),
+                f"specular={specular!r}" + (f" of up to {values.max():g}" if is_from_library else ""),
+                f"0 to below {_MOST_COAT:g}, or 'library'",
+                "pass the reflectance of the coat at normal incidence, such as 0.04",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                not (is_number(roughness) and 0.0 <= roughness <= 1.0),
+                f"roughness={roughness!r}",
+                "0 to 1",
+                "",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                is_from_library and not has_specular,
+                "specular='library', but the library has no specular_reflectance (signature, band)",
+                "",
+                "",
+                "",
+                "variable-missing",
+            ),
+            (
+                # without a declaration the coat is taken as included, so that it cannot count twice
+                specular != 0.0
+                and (declared or INCLUDED) == INCLUDED
+                and (not is_from_library or has_specular),
+                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
+                "would count twice",
+                "",
+                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+                "leave specular out, or give body reflectance (signatures --specular-sky)",
+                "coat-counted-twice",
+            ),
+        ):
+            problems.add_if(is_wrong, found, expected=expected, mend=mend, option=option, code=code)
     paint_curves = PaintCurves(
         library,
         Coats(values, np.full(values.shape, float(roughness))),
@@ -836,8 +838,11 @@ def summary_of(
     }
     # with pyarrow, pandas cannot store half a surrogate pair
     names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
-    coords = {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": columns.pop("id")}
-    return xr.Dataset(columns, coords, {"title": title, **attrs})
+    return xr.Dataset(
+        columns,
+        {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": columns.pop("id")},
+        {"title": title, **attrs},
+    )
 
 
 # --- scenes of triangles: geometry, materials with populations, texture maps, lists ------------------------
@@ -972,22 +977,48 @@ def write_dirsig_scene(
     problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
-    surfaces, face_surface = _surfaces(scene, dict(repaint or {}))
-    # for every library the surfaces painted from it: pairs of their index and the index of their paint
-    problems = Problems("the scene cannot be painted", SchemaError)
-    surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    paint_indices = [
-        {str(name): index for index, name in enumerate(library[SIGNATURE].values)} for library in libraries
-    ]
-    for number, surface in enumerate(surfaces):
-        source = next((k for k, indices in enumerate(paint_indices) if surface.spectrum in indices), None)
-        if source is None:
-            problems.add(
-                f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
+    repaint = dict(repaint or {})
+    # Distinct surfaces, and the index of the surface of every face (face,)
+    with Problems("the scene cannot be painted", SchemaError) as paint_problems:
+        materials, instances = scene.materials, scene.instances
+        names = {item.name for item in (*materials, *instances)} | {item.spectrum for item in materials}
+        paint_problems.extend(
+            Problem(
+                f"repaint[{key!r}]: the scene has no instance, material or spectrum of this name",
+                code="key-unknown",
             )
-        else:
-            surfaces_of[source].append((number, paint_indices[source][surface.spectrum]))
-    problems.raise_if_any()
+            for key in repaint.keys() - names
+        )
+    pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
+    distinct, face_pair = np.unique(pair, return_inverse=True)
+    number_of_surface: dict[_Surface, int] = {}
+    surface_of_pair = []
+    for code in distinct.tolist():
+        material, instance = materials[code // len(instances)], instances[code % len(instances)]
+        spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
+        if material.kind == "paint":
+            spectrum = repaint.get(instance.name, spectrum)
+        coat_index, roughness = (
+            (0.0, 0.0) if (coat := material.coat) is None else (coat.index, coat.roughness)
+        )
+        pair_surface = _Surface(spectrum, float(coat_index), float(roughness))
+        surface_of_pair.append(number_of_surface.setdefault(pair_surface, len(number_of_surface)))
+    surfaces, face_surface = list(number_of_surface), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
+    # for every library the surfaces painted from it: pairs of their index and the index of their paint
+    with Problems("the scene cannot be painted", SchemaError) as problems:
+        surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
+        paint_indices = [
+            {str(name): index for index, name in enumerate(library[SIGNATURE].values)}
+            for library in libraries
+        ]
+        for number, surface in enumerate(surfaces):
+            source = next((k for k, indices in enumerate(paint_indices) if surface.spectrum in indices), None)
+            if source is None:
+                problems.add(
+                    f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
+                )
+            else:
+                surfaces_of[source].append((number, paint_indices[source][surface.spectrum]))
     options = {
         "wavelength_range": wavelength_range,
         "extrapolate": extrapolate,
@@ -1036,16 +1067,19 @@ def write_dirsig_scene(
             f"geometry/objects/{stem}.mtl": "scene.mtl.j2",
             "README.txt": "scene_readme.txt.j2",
         }
-        texts = {name: TEXTS.get_template(template).render(content) for name, template in templates.items()}
-        texts[f"materials/{stem}.mat"] = materials_text(
+        sections = (
             material_section(
                 record, surface="ClassicEmissivity", rad_solver=None, thermal=None, double_sided=True
             )
             for record in records
         )
-        # users add atmosphere and platform to the simulation
-        texts[f"{stem}.jsim"] = json.dumps(simulation, indent=4) + "\n"
-        texts[MARKER] = json.dumps(marker, indent=1) + "\n"
+        texts = {name: TEXTS.get_template(template).render(content) for name, template in templates.items()}
+        texts |= {
+            f"materials/{stem}.mat": materials_text(sections),
+            # users add atmosphere and platform to the simulation
+            f"{stem}.jsim": json.dumps(simulation, indent=4) + "\n",
+            MARKER: json.dumps(marker, indent=1) + "\n",
+        }
         write_texts(build, texts)
     numbers = dict.fromkeys(("curves", "complete", "thinned", "faces", "interpolated"), np.int64)
     attrs = {"name": title, **attrs, "folder": os.fspath(folder)}
@@ -1060,35 +1094,6 @@ _FOLDERS = (
     f"materials/{BRDF}",
     "maps",
 )
-
-
-def _surfaces(scene: Any, repaint: dict[str, str]) -> tuple[list[_Surface], Ints]:
-    # Distinct surfaces, and the index of the surface of every face (face,)
-    problems = Problems("the scene cannot be painted", SchemaError)
-    materials, instances = scene.materials, scene.instances
-    names = {item.name for item in (*materials, *instances)}
-    names |= {material.spectrum for material in materials}
-    problems.extend(
-        Problem(
-            f"repaint[{key!r}]: the scene has no instance, material or spectrum of this name",
-            code="key-unknown",
-        )
-        for key in repaint.keys() - names
-    )
-    problems.raise_if_any()
-    pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
-    distinct, face_pair = np.unique(pair, return_inverse=True)
-    numbers: dict[_Surface, int] = {}
-    surface_of_pair = []
-    for code in distinct.tolist():
-        material, instance = materials[code // len(instances)], instances[code % len(instances)]
-        spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
-        if material.kind == "paint":
-            spectrum = repaint.get(instance.name, spectrum)
-        index, roughness = (0.0, 0.0) if (coat := material.coat) is None else (coat.index, coat.roughness)
-        surface = _Surface(spectrum, float(index), float(roughness))
-        surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
-    return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
 
 
 def _write_materials(
