@@ -41,50 +41,6 @@ _TENSORS = {
 }  # fmt: skip
 
 
-def _tensors(data: bytes, where: str) -> dict[str, Array]:
-    # Tensors by name, as views of the data; sizes of the header are compared with those of the file.
-    refuse(
-        where,
-        (
-            not data.startswith(_MAGIC),
-            Problem(f"it begins with {data[:12]!r}", expected=f"{_MAGIC!r}", code="format-unknown"),
-        ),
-    )
-    tensors: dict[str, Array] = {}
-    try:
-        *version, count = struct.unpack_from("<BBI", data, len(_MAGIC))
-        wrong_version = Problem(f"version {version}", expected=f"{list(_VERSION)}", code="format-version")
-        too_many = Problem(f"{count} tensors", expected=f"at most {_MAX_TENSORS}", code="tensor-count")
-        refuse(where, (tuple(version) != _VERSION, wrong_version), (count > _MAX_TENSORS, too_many))
-        place = len(_MAGIC) + 6
-        for _ in range(count):
-            (size,) = struct.unpack_from("<H", data, place)
-            name = data[place + 2 : place + 2 + size].decode("utf-8", "replace")
-            rank, kind, offset = struct.unpack_from("<HBQ", data, place + 2 + size)
-            subject, found = f"{where}: tensor {name[:40]!r}", f"{rank} dimensions"
-            refuse(
-                subject,
-                (rank > _MAX_RANK, Problem(found, expected=f"at most {_MAX_RANK}", code="tensor-rank")),
-            )
-            shape = struct.unpack_from(f"<{rank}Q", data, place + 13 + size)
-            place += 13 + size + 8 * rank
-            refuse(
-                subject,
-                (kind not in _TYPES, Problem(f"type {kind}", expected="1 to 11", code="tensor-type")),
-                (name in tensors, Problem("it is repeated", code="tensor-repeated")),
-                (0 in shape, Problem(f"shape {shape}", expected="sizes above 0", code="tensor-empty")),
-            )
-            end = offset + math.prod(shape) * np.dtype(_TYPES[kind]).itemsize
-            beyond = Problem(f"bytes {offset} to {end}", expected=f"up to {len(data)}", code="file-truncated")
-            refuse(subject, (end > len(data), beyond))
-            tensors[name] = np.frombuffer(data, _TYPES[kind], math.prod(shape), offset).reshape(shape)
-    except struct.error as error:
-        raise FormatError(
-            f"{where}: its header ends early", mend="copy the file again", code="header-truncated"
-        ) from error
-    return tensors
-
-
 def read_rgl(path: str | Path) -> xr.Dataset:
     """Return a measured BRDF from a spectral file of the RGL material database.
 
@@ -120,7 +76,47 @@ def read_rgl(path: str | Path) -> xr.Dataset:
     hyperpaint.base.errors.FormatError: ... [format-unknown]
     """
     where = str(path)
-    tensors = _tensors(read_limited(path, MAX_RGL_BYTES, "a BRDF of the RGL material database"), where)
+    data = read_limited(path, MAX_RGL_BYTES, "a BRDF of the RGL material database")
+    # tensors by name, as views of the data; sizes of the header are compared with those of the file
+    refuse(
+        where,
+        (
+            not data.startswith(_MAGIC),
+            Problem(f"it begins with {data[:12]!r}", expected=f"{_MAGIC!r}", code="format-unknown"),
+        ),
+    )
+    tensors: dict[str, Array] = {}
+    try:
+        *version, count = struct.unpack_from("<BBI", data, len(_MAGIC))
+        wrong_version = Problem(f"version {version}", expected=f"{list(_VERSION)}", code="format-version")
+        too_many = Problem(f"{count} tensors", expected=f"at most {_MAX_TENSORS}", code="tensor-count")
+        refuse(where, (tuple(version) != _VERSION, wrong_version), (count > _MAX_TENSORS, too_many))
+        place = len(_MAGIC) + 6
+        for _ in range(count):
+            (size,) = struct.unpack_from("<H", data, place)
+            title = data[place + 2 : place + 2 + size].decode("utf-8", "replace")
+            rank, number, offset = struct.unpack_from("<HBQ", data, place + 2 + size)
+            subject, found = f"{where}: tensor {title[:40]!r}", f"{rank} dimensions"
+            refuse(
+                subject,
+                (rank > _MAX_RANK, Problem(found, expected=f"at most {_MAX_RANK}", code="tensor-rank")),
+            )
+            extent = struct.unpack_from(f"<{rank}Q", data, place + 13 + size)
+            place += 13 + size + 8 * rank
+            refuse(
+                subject,
+                (number not in _TYPES, Problem(f"type {number}", expected="1 to 11", code="tensor-type")),
+                (title in tensors, Problem("it is repeated", code="tensor-repeated")),
+                (0 in extent, Problem(f"shape {extent}", expected="sizes above 0", code="tensor-empty")),
+            )
+            end = offset + math.prod(extent) * np.dtype(_TYPES[number]).itemsize
+            beyond = Problem(f"bytes {offset} to {end}", expected=f"up to {len(data)}", code="file-truncated")
+            refuse(subject, (end > len(data), beyond))
+            tensors[title] = np.frombuffer(data, _TYPES[number], math.prod(extent), offset).reshape(extent)
+    except struct.error as error:
+        raise FormatError(
+            f"{where}: its header ends early", mend="copy the file again", code="header-truncated"
+        ) from error
     missing = sorted(set(_TENSORS) - set(tensors))
     has_colours = Problem(
         "it has colours, not spectra",
