@@ -23,6 +23,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import xarray as xr
 
 from hyperpaint.base import (
@@ -276,10 +277,33 @@ def available_memory(system: Path = Path("/")) -> int:
 
 def _shared_memory(system: Path) -> int:
     # Free memory of the machine and its container, which other programs use as well
-    import psutil
-
     # `available` includes the file cache, which is freed on demand
-    return min([int(psutil.virtual_memory().available), *_container_memory(system)])
+    free_bytes = [int(psutil.virtual_memory().available)]
+    # and of every control group (version 2 or 1) of this process, and of their parents: psutil does not read
+    # control groups, and distributed only the limit of the innermost
+    root, entries = system / "sys/fs/cgroup", list[str]()
+    with contextlib.suppress(OSError):
+        entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
+    for number, controllers, path in (entry.split(":", 2) for entry in entries if entry.count(":") >= 2):
+        if number == "0":
+            base, limit, usage = root, "memory.max", "memory.current"
+        elif "memory" in controllers.split(","):
+            base, limit, usage = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+        else:
+            continue
+        group_folder = base.joinpath(*(part for part in path.split("/") if part not in ("", "..")))
+        for folder in (
+            group_folder,
+            *(parent for parent in group_folder.parents if parent.is_relative_to(base)),
+        ):
+            with contextlib.suppress(OSError, ValueError):  # the group does not exist, or its limit is "max"
+                free = int((folder / limit).read_text()) - int((folder / usage).read_text())
+                # the file cache is freed on demand
+                with contextlib.suppress(OSError):
+                    cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
+                    free += int(cached[1]) if cached else 0
+                free_bytes.append(free)
+    return min(free_bytes)
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
@@ -313,47 +337,14 @@ def _address_space() -> int | None:
     limit = _address_limit()
     if limit is None:
         return None
-    import psutil
-
     # zarr's threads are threads of asyncio; the space of running threads is already reserved
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
-def _container_memory(system: Path) -> Iterator[int]:
-    # Free memory of every control group (version 2 or 1) of this process, and of their parents.
-    # psutil does not read control groups, and distributed only the limit of the innermost.
-    root = system / "sys/fs/cgroup"
-    try:
-        entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return
-    for number, controllers, path in (entry.split(":", 2) for entry in entries if entry.count(":") >= 2):
-        if number == "0":
-            base, limit, usage = root, "memory.max", "memory.current"
-        elif "memory" in controllers.split(","):
-            base, limit, usage = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
-        else:
-            continue
-        group_folder = base.joinpath(*(part for part in path.split("/") if part not in ("", "..")))
-        for folder in (
-            group_folder,
-            *(parent for parent in group_folder.parents if parent.is_relative_to(base)),
-        ):
-            with contextlib.suppress(OSError, ValueError):  # the group does not exist, or its limit is "max"
-                free = int((folder / limit).read_text()) - int((folder / usage).read_text())
-                # the file cache is freed on demand
-                with contextlib.suppress(OSError):
-                    cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
-                    free += int(cached[1]) if cached else 0
-                yield free
-
-
 def resident_memory() -> int:
     # Return the resident memory of this process [byte].
-    import psutil
-
     return int(psutil.Process().memory_info().rss)
 
 
@@ -394,21 +385,20 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     #
     # Raises `StoreError`: One block is larger than the available memory.
     available, fixed = available_memory(), thread_space()
-    problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
-    cubes = []
-    for name, variable in dataset.variables.items():
-        if variable.chunks and ALONG_TRACK in variable.dims and variable.ndim > 1:
-            cubes.append(variable)
-        elif variable.chunks and variable.size:
-            sizes = tuple(map(max, variable.chunks))
-            block = math.prod(sizes) * variable.dtype.itemsize + fixed
-            if block > available:
-                problems.add(
-                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
-                    mend="take smaller chunks, end other programs, or raise the memory limit",
-                    code="memory-short",
-                )
-    problems.raise_if_any()
+    with Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError) as problems:
+        cubes = []
+        for name, variable in dataset.variables.items():
+            if variable.chunks and ALONG_TRACK in variable.dims and variable.ndim > 1:
+                cubes.append(variable)
+            elif variable.chunks and variable.size:
+                sizes = tuple(map(max, variable.chunks))
+                block = math.prod(sizes) * variable.dtype.itemsize + fixed
+                if block > available:
+                    problems.add(
+                        f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
+                        mend="take smaller chunks, end other programs, or raise the memory limit",
+                        code="memory-short",
+                    )
     if not cubes or not all(v.size for v in cubes):
         return None
     length = cubes[0].sizes[ALONG_TRACK]

@@ -257,48 +257,51 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     # StoreError if names, dtypes or attributes cannot be stored; all are listed.
     import dask.array as da
 
-    problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
-    for owner, attrs in {
-        "the dataset": dataset.attrs,
-        **{f"{name!r}": variable.attrs for name, variable in dataset.variables.items()},
-    }.items():
-        for key, value in attrs.items():
+    with Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError) as problems:
+        for owner, attrs in {
+            "the dataset": dataset.attrs,
+            **{f"{name!r}": variable.attrs for name, variable in dataset.variables.items()},
+        }.items():
+            for key, value in attrs.items():
+                problems.add_if(
+                    not isinstance(key, str) or not _is_plain(value),
+                    f"attribute {key!r} of {owner} is a {type(value).__name__}",
+                    expected="text, numbers, lists or dicts of them",
+                    mend="write times as ISO text",
+                    code="attribute-type",
+                )
+        for name, variable in dataset.variables.items():
             problems.add_if(
-                not isinstance(key, str) or not _is_plain(value),
-                f"attribute {key!r} of {owner} is a {type(value).__name__}",
-                expected="text, numbers, lists or dicts of them",
-                mend="write times as ISO text",
-                code="attribute-type",
+                not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")),
+                f"variable name {name!r}",
+                expected="text without '/' that does not start with '.' or '__'",
+                code="variable-name",
             )
-    for name, variable in dataset.variables.items():
-        problems.add_if(
-            not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")),
-            f"variable name {name!r}",
-            expected="text without '/' that does not start with '.' or '__'",
-            code="variable-name",
-        )
-        if variable.dtype.kind not in "biufcmMUOT":
+            if variable.dtype.kind not in "biufcmMUOT":
+                problems.add(
+                    f"{name!r} has dtype {variable.dtype}",
+                    expected="numbers, booleans, times or text",
+                    code="type-wrong",
+                )
+            elif variable.dtype.kind == "O" and variable._in_memory:
+                other_types = {
+                    type(item).__name__ for item in np.ravel(variable.values) if not isinstance(item, str)
+                }
+                problems.add_if(
+                    other_types,
+                    f"{name!r} contains Python objects ({', '.join(sorted(other_types))})",
+                    expected="text, or a numeric dtype",
+                    code="type-wrong",
+                )
+        multi = xr.indexes.PandasMultiIndex
+        for name in sorted(
+            {str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}
+        ):
             problems.add(
-                f"{name!r} has dtype {variable.dtype}",
-                expected="numbers, booleans, times or text",
-                code="type-wrong",
+                f"{name!r} has a multi-index",
+                mend=f"call .reset_index({name!r}) first",
+                code="index-multiple",
             )
-        elif variable.dtype.kind == "O" and variable._in_memory:
-            other_types = {
-                type(item).__name__ for item in np.ravel(variable.values) if not isinstance(item, str)
-            }
-            problems.add_if(
-                other_types,
-                f"{name!r} contains Python objects ({', '.join(sorted(other_types))})",
-                expected="text, or a numeric dtype",
-                code="type-wrong",
-            )
-    multi = xr.indexes.PandasMultiIndex
-    for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
-        problems.add(
-            f"{name!r} has a multi-index", mend=f"call .reset_index({name!r}) first", code="index-multiple"
-        )
-    problems.raise_if_any()
     layouts = layouts_of(dataset)
     prepared = dataset.drop_encoding()
     replaced = {}
@@ -779,9 +782,8 @@ def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
     body, stored = encoded[:-4], int.from_bytes(encoded[-4:], "little")
     if not body or int(google_crc32c.value(body)) != stored:
         return None
-    if decoded_bytes is not None and int.from_bytes(body[4:8], "little") != decoded_bytes:
-        return None
-    return stored
+    is_resized = decoded_bytes is not None and int.from_bytes(body[4:8], "little") != decoded_bytes
+    return None if is_resized else stored
 
 
 def is_mendable(error: BaseException) -> bool:
@@ -1090,9 +1092,8 @@ def _cluster_failure(error: BaseException) -> str | None:
     if isinstance(error, _CANCELLED):
         reason = getattr(error, "reason", error)
         return "the scheduler was lost" if "connection" in str(reason) else f"it was cancelled ({reason})"
-    if type(error).__module__.partition(".")[0] == "distributed":
-        return f"the cluster was lost ({type(error).__name__}: {error})"
-    return None
+    is_lost = type(error).__module__.partition(".")[0] == "distributed"
+    return f"the cluster was lost ({type(error).__name__}: {error})" if is_lost else None
 
 
 def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:

@@ -357,13 +357,12 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
 
 def sync(path: str | Path) -> None:
     # Flush a file, or renames in a folder, to the disk.
-    if os.name != "posix" and os.path.isdir(path):
-        return
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    if os.name == "posix" or not os.path.isdir(path):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 # --- manifests ---------------------------------------------------------------------------------------------
@@ -479,9 +478,11 @@ class Manifest:
             # raise for names of paths outside the store
             group_names = {*groups, *(name for write in writes for name in write.contents)}
             arrays = {name for entry in groups.values() for name in entry.arrays}
-            invalid = [name for name in group_names if clean_group(name) != name]
-            invalid += [name for name in arrays if "/" in name or clean_group(f"g/{name}") != f"g/{name}"]
-            invalid += [name for name in (*group_names, *arrays) if "\0" in name or len(name.encode()) > 1000]
+            invalid = [
+                *(name for name in group_names if clean_group(name) != name),
+                *(name for name in arrays if "/" in name or clean_group(f"g/{name}") != f"g/{name}"),
+                *(name for name in (*group_names, *arrays) if "\0" in name or len(name.encode()) > 1000),
+            ]
             if invalid:
                 raise ValueError(f"invalid name {invalid[0]!r:.40}")
             if len(writes) > MAX_WRITES:

@@ -555,10 +555,9 @@ def open_virtual(
             option=f"pass {options} if these are your raw files",
             code="raw-file-not-allowed",
         )
-    problems = Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError)
-    for raw in groups[name][RAW_FILES]:
-        problems.add_if(difference := raw.difference(), difference, mend=_AGAIN, code="raw-file-changed")
-    problems.raise_if_any()
+    with Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError) as problems:
+        for raw in groups[name][RAW_FILES]:
+            problems.add_if(difference := raw.difference(), difference, mend=_AGAIN, code="raw-file-changed")
     urls = [raw.url for raw in groups[name][RAW_FILES]]
     # every reference must be inside one of these files
     with _own_errors(path):
