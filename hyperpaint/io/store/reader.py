@@ -216,17 +216,16 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         recorded = manifest.groups.items() if manifest is not None else ()
         groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
     if groups and "" not in groups:
-        problems = Problems(
+        with Problems(
             f"{path} has unusable groups; open_store(path, group) opens other groups",
             IncompleteStoreError,
-        )
-        opened = {}
-        for name in groups:
-            try:
-                opened[name] = open_group(path, name, **kwargs)
-            except IncompleteStoreError as error:
-                problems.add_error(f"group {'/' + name!r}", error)
-        problems.raise_if_any()
+        ) as problems:
+            opened = {}
+            for name in groups:
+                try:
+                    opened[name] = open_group(path, name, **kwargs)
+                except IncompleteStoreError as error:
+                    problems.add_error(f"group {'/' + name!r}", error)
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
     # an error if a running or interrupted run has not written all its groups
@@ -282,30 +281,31 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
     if entry is None or content != entry.content:
         entry_of(location, group)  # the group is published but not yet in the manifest: all chunks must exist
         return
-    problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
-    if attributes_replaced(location, group, entry):
-        warn_user(
-            f"{where}: another program replaced its attributes; the manifest's are used",
-            "attributes-replaced",
-        )
-    elif changed := changed_attributes(location, group, entry):
-        problems.add(f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed")
-    files = location.files(group)
-    for name, array in entry.arrays.items():
-        document = location.metadata(joined(group, name))
-        if document is None or document_checksum(document) != array.metadata:
-            problems.add(
-                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}",
-                code="metadata-changed",
+    with Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError) as problems:
+        if attributes_replaced(location, group, entry):
+            warn_user(
+                f"{where}: another program replaced its attributes; the manifest's are used",
+                "attributes-replaced",
             )
-            continue
-        missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
-        if missing and METADATA in files:  # not all servers list their files
+        elif changed := changed_attributes(location, group, entry):
             problems.add(
-                f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}",
-                code="chunk-missing",
+                f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed"
             )
-    problems.raise_if_any()
+        files = location.files(group)
+        for name, array in entry.arrays.items():
+            document = location.metadata(joined(group, name))
+            if document is None or document_checksum(document) != array.metadata:
+                problems.add(
+                    f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}",
+                    code="metadata-changed",
+                )
+                continue
+            missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
+            if missing and METADATA in files:  # not all servers list their files
+                problems.add(
+                    f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}",
+                    code="chunk-missing",
+                )
 
 
 def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Dataset:
@@ -336,7 +336,16 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
             # one task per slab, also for cubes with chunks of some bands or of tiles
             if cut and "chunks" not in options:
                 options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
-            source = _named(source, node, arrays)
+            # store object with dask names from its content, not from path and time, for a group of hyperpaint
+            content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
+            is_whole = seal.partition(" ")[0] == str(len(arrays))  # no array that is not part of the content
+            if content is not None and is_whole and isinstance(source, str):
+                from .named_stores import NamedFsspecStore, NamedLocalStore
+
+                kind: Any = NamedFsspecStore.from_url if is_remote else NamedLocalStore
+                named = kind(source, read_only=True)
+                named.content = f"{source} {content} {seal}"
+                source = named
             opened: xr.Dataset = xr.open_zarr(source, group=name or None, **options)
             if COARSE in cut:  # so that a picture of one band reads one group of bands
                 options |= {"chunks": {}, "drop_variables": [key for key in arrays if key != COARSE]}
@@ -429,19 +438,6 @@ def is_zarr(path: Any) -> bool:
         return not {*METADATA_FILES[:3]}.isdisjoint(file.namelist())
 
 
-def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    # Store object with dask names from its content, not from path and time, for a group of hyperpaint
-    content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
-    has_foreign = seal.partition(" ")[0] != str(len(arrays))  # arrays that are not part of the content
-    if content is None or has_foreign or not isinstance(source, str):
-        return source
-    from .named_stores import NamedFsspecStore, NamedLocalStore
-
-    store: Any = (NamedFsspecStore.from_url if "://" in source else NamedLocalStore)(source, read_only=True)
-    store.content = f"{source} {content} {seal}"
-    return store
-
-
 def check_metadata(location: Location | None, group: str) -> None:
     # Raise for metadata documents of a group and its arrays that would fill the memory when parsed.
     #
@@ -496,45 +492,46 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
     # Check zarr arrays by name, without reading a value.
     #
     # Raises `StoreError`: Codecs run code, or sizes exceed memory; all problems are listed.
-    problems = Problems(f"{subject} cannot be read safely", StoreError)
-    chunks = index_bytes = 0
-    for name, array in arrays.items():
-        metadata = array.metadata
-        # format 3 has a list of codecs, format 2 a compressor and filters
-        codec_names = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
-        code_codec = next((word for word in CODE_CODECS if word in codec_names.lower()), "")
-        dtype = np.dtype(array.dtype)
-        is_text = dtype.kind in "OT"
-        known = not is_text or any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String"))
-        # sizes; of shards, zarr reads the inner chunks one by one
-        item = LIMITS.text_bytes if is_text else dtype.itemsize
-        limit = (
-            LIMITS.max_index_bytes
-            if is_text or "since" in str(array.attrs.get("units"))
-            else LIMITS.max_chunk_bytes
-        )
-        for is_wrong, found, expected, code in (
-            (code_codec, f"codec {code_codec!r}, which runs code in the file", "", "codec-runs-code"),
-            (not known, f"data type {metadata.dtype!s:.80}", "numbers, times or text", "type-wrong"),
-            (
-                math.prod(array.chunks) * item > limit,
-                f"chunks of {array.chunks} {dtype}",
-                f"at most {limit} bytes",
-                "size-too-large",
-            ),
-            (array.ndim > 32, f"{array.ndim} dims", "at most 32", "size-too-large"),
+    with Problems(f"{subject} cannot be read safely", StoreError) as problems:
+        chunks = index_bytes = 0
+        for name, array in arrays.items():
+            metadata = array.metadata
+            # format 3 has a list of codecs, format 2 a compressor and filters
+            codec_names = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
+            code_codec = next((word for word in CODE_CODECS if word in codec_names.lower()), "")
+            dtype = np.dtype(array.dtype)
+            is_text = dtype.kind in "OT"
+            known = not is_text or any(
+                word in str(type(metadata.dtype)) for word in ("VariableLength", "String")
+            )
+            # sizes; of shards, zarr reads the inner chunks one by one
+            item = LIMITS.text_bytes if is_text else dtype.itemsize
+            limit = (
+                LIMITS.max_index_bytes
+                if is_text or "since" in str(array.attrs.get("units"))
+                else LIMITS.max_chunk_bytes
+            )
+            for is_wrong, found, expected, code in (
+                (code_codec, f"codec {code_codec!r}, which runs code in the file", "", "codec-runs-code"),
+                (not known, f"data type {metadata.dtype!s:.80}", "numbers, times or text", "type-wrong"),
+                (
+                    math.prod(array.chunks) * item > limit,
+                    f"chunks of {array.chunks} {dtype}",
+                    f"at most {limit} bytes",
+                    "size-too-large",
+                ),
+                (array.ndim > 32, f"{array.ndim} dims", "at most 32", "size-too-large"),
+            ):
+                problems.add_if(is_wrong, f"{name}: {found}", expected=expected, code=code)
+            sizes = zip(array.shape, array.chunks, strict=True)
+            chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
+            if array.ndim == 1:
+                index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
+        for size, most, unit in (
+            (chunks, MAX_CHUNKS, "chunks"),
+            (index_bytes, LIMITS.max_index_bytes, "bytes of an array with one dim"),
         ):
-            problems.add_if(is_wrong, f"{name}: {found}", expected=expected, code=code)
-        sizes = zip(array.shape, array.chunks, strict=True)
-        chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
-        if array.ndim == 1:
-            index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
-    for size, most, unit in (
-        (chunks, MAX_CHUNKS, "chunks"),
-        (index_bytes, LIMITS.max_index_bytes, "bytes of an array with one dim"),
-    ):
-        problems.add_if(size > most, f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
-    problems.raise_if_any()
+            problems.add_if(size > most, f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
 
 
 # --- names of groups ---------------------------------------------------------------------------------------
@@ -769,8 +766,8 @@ def _parts(value: Any) -> Iterable[Any]:
     if module == "dask":  # Task, DataNode, Alias
         return (getattr(value, name) for name in ("args", "kwargs", "value") if hasattr(value, name))
     if module in ("xarray", "hyperpaint"):
-        names = {slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ())}
-        names |= set(getattr(value, "__dict__", ()))
+        slots = (slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ()))
+        names = {*slots, *getattr(value, "__dict__", ())}
         return (getattr(value, name) for name in _INNER if name in names)
     return ()
 
@@ -888,17 +885,17 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     )
     groups = sorted({name.rpartition("/")[0] for name, node_type in nodes.items() if node_type == "array"})
     state = store_state(location, groups)
-    problems, notes = list(state.problems), list(state.notes)
     try:
         manifest = Manifest.read(location) or Manifest()
     except StoreError:
         manifest = Manifest()  # reported by the state
-    problems += [
-        f"/{name}: its metadata cannot be read [metadata-damaged]"
-        for name in nodes
-        if nodes[name] == "unreadable"
+    unreadable = (name for name, node_type in nodes.items() if node_type == "unreadable")
+    problems = [
+        *state.problems,
+        *(f"/{name}: its metadata cannot be read [metadata-damaged]" for name in unreadable),
+        *_metadata_problems(location, "", manifest.groups.get("")),
     ]
-    problems += _metadata_problems(location, "", manifest.groups.get(""))
+    notes = list(state.notes)
     if manifest.groups:
         problems += _listing_problems(location, nodes, manifest)
         for group in ("", *(name for name, node_type in nodes.items() if node_type == "group")):
