@@ -472,22 +472,55 @@ def to_store(
     check_codec(codec)
     jobs, attrs = _plan(data, clean_group(group), source_token, (codec, layout))
     if not isinstance(path, str | os.PathLike):
-        _write_to_store_object(path, jobs, attrs, overwrite=overwrite)
+        import zarr
+
+        groups: list[str] = []
+        with contextlib.suppress(Exception):  # a new store; every kind of store has its own classes
+            groups = list(zarr.open_group(path, mode="r", use_consolidated=False).group_keys())
+        with Problems(f"cannot write {path}", StoreError) as problems:
+            for job in jobs:
+                problems.add_if(
+                    names := reads_from(job.dataset, path, job.group),
+                    f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
+                    code="source-overwritten",
+                )
+                problems.add_if(
+                    not job.group and groups and overwrite,
+                    f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
+                    code="group-occupied",
+                )
+        try:
+            for group, attributes in attrs.items():
+                zarr.open_group(path, path=group, mode="a").attrs.update(stamped(attributes, "to_store"))
+            for job in jobs:
+                encoding = computing.encoding(job.dataset, job.codec)
+                dataset = job.dataset.assign_attrs(stamped(job.dataset.attrs, "to_store"))
+                options: Any = {"consolidated": False, "mode": "w" if overwrite else "w-"}
+                dataset.to_zarr(path, group=job.group or None, encoding=encoding, zarr_format=3, **options)
+        except FileExistsError as error:  # zarr's ContainsGroupError is one
+            raise StoreError(
+                f"{path}: {error}", mend="pass overwrite=True to replace it", code="store-exists"
+            ) from error
+        except Exception as error:  # zarr and every kind of store have their own classes
+            raise StoreError(
+                f"{path} cannot be written: {type(error).__name__}: {error!s:.200}",
+                expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
+                code="store-unwritable",
+            ) from error
         return path
     location = Location.of(path)
     contents = {job.group: job.content for job in jobs}
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         # raise for a group that would be replaced while the data are read from it
-        problems = Problems(f"cannot write {location.url}", StoreError)
-        for job, target in itertools.product(jobs, jobs):
-            problems.add_if(
-                names := reads_from(job.dataset, location, target.group),
-                f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
-                f"{'is' if len(names) == 1 else 'are'} read from it",
-                mend="write to another group or path, or .load() the dataset first",
-                code="source-overwritten",
-            )
-        problems.raise_if_any()
+        with Problems(f"cannot write {location.url}", StoreError) as problems:
+            for job, target in itertools.product(jobs, jobs):
+                problems.add_if(
+                    names := reads_from(job.dataset, location, target.group),
+                    f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
+                    f"{'is' if len(names) == 1 else 'are'} read from it",
+                    mend="write to another group or path, or .load() the dataset first",
+                    code="source-overwritten",
+                )
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         if not pending and _is_done(location, contents, attrs):
             if location.local is not None:
@@ -1015,47 +1048,6 @@ def _write_arrays(
     return files, sums
 
 
-def _write_to_store_object(
-    store: Any, jobs: list[Job], attrs: Mapping[str, Mapping[str, Any]], *, overwrite: bool
-) -> None:
-    import zarr
-
-    groups: list[str] = []
-    with contextlib.suppress(Exception):  # a new store; every kind of store has its own classes
-        groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
-    problems = Problems(f"cannot write {store}", StoreError)
-    for job in jobs:
-        problems.add_if(
-            names := reads_from(job.dataset, store, job.group),
-            f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
-            code="source-overwritten",
-        )
-        problems.add_if(
-            not job.group and groups and overwrite,
-            f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
-            code="group-occupied",
-        )
-    problems.raise_if_any()
-    try:
-        for group, attributes in attrs.items():
-            zarr.open_group(store, path=group, mode="a").attrs.update(stamped(attributes, "to_store"))
-        for job in jobs:
-            encoding = computing.encoding(job.dataset, job.codec)
-            dataset = job.dataset.assign_attrs(stamped(job.dataset.attrs, "to_store"))
-            options: Any = {"consolidated": False, "mode": "w" if overwrite else "w-"}
-            dataset.to_zarr(store, group=job.group or None, encoding=encoding, zarr_format=3, **options)
-    except FileExistsError as error:  # zarr's ContainsGroupError is one
-        raise StoreError(
-            f"{store}: {error}", mend="pass overwrite=True to replace it", code="store-exists"
-        ) from error
-    except Exception as error:  # zarr and every kind of store have their own classes
-        raise StoreError(
-            f"{store} cannot be written: {type(error).__name__}: {error!s:.200}",
-            expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
-            code="store-unwritable",
-        ) from error
-
-
 # --- groups to be written ----------------------------------------------------------------------------------
 
 
@@ -1128,49 +1120,48 @@ def pending_groups(
     # Return the groups of ``contents`` that must be written; raise if other groups or files would be lost.
     #
     # ``around``: groups without arrays that are written, too.
-    problems = Problems(f"cannot write {location.url}", StoreError)
-    parents = dict.fromkeys(parent for name in (*contents, *around) for parent in groups_above(name))
-    check_above(parents, location, problems, overwrite=overwrite)
-    try:
-        manifest = Manifest.read(location, ignore_damage=overwrite)
-    except IncompleteStoreError as error:
-        problems.add_error(location.url, error)
-        manifest = None
-    pending: list[str] = []
-    exists = location.has("")
-    lost = store_state(location).faults if manifest is None and exists and not len(problems) else ()
-    if lost and not overwrite:
-        problems.add(
-            lost[0].found,
-            mend="pass overwrite=True to write it again",
-            option="pass --overwrite to write it again",
-            code=lost[0].code,
-        )
-    for group, content in contents.items():
-        state = occupant(group, content, location, manifest) if exists else ""
-        other = Problem(
-            f"group {'/' + group!r} exists, {state}",
-            mend="pass overwrite=True to replace it",
-            option="pass --overwrite to replace it",
-            code="store-exists",
-        )
-        faults: dict[str, Problem | None] = {
-            "parent": Problem(
-                f"group {'/' + group!r} contains other groups, files or folders, which would be lost",
-                mend="choose another group, or move them away first",
-                code="group-occupied",
-            ),
-            "array": Problem(
-                f"{'/' + group!r} or a parent of it is an array",
-                mend="choose another group",
-                code="group-occupied",
-            ),
-            **dict.fromkeys(("same", "", "lacks chunks")),
-        }
-        fault = faults.get(state, None if overwrite else other)
-        problems.extend([fault] if fault is not None else [])
-        pending += [group] if state != "same" else []
-    problems.raise_if_any()
+    with Problems(f"cannot write {location.url}", StoreError) as problems:
+        parents = dict.fromkeys(parent for name in (*contents, *around) for parent in groups_above(name))
+        check_above(parents, location, problems, overwrite=overwrite)
+        try:
+            manifest = Manifest.read(location, ignore_damage=overwrite)
+        except IncompleteStoreError as error:
+            problems.add_error(location.url, error)
+            manifest = None
+        pending: list[str] = []
+        exists = location.has("")
+        lost = store_state(location).faults if manifest is None and exists and not len(problems) else ()
+        if lost and not overwrite:
+            problems.add(
+                lost[0].found,
+                mend="pass overwrite=True to write it again",
+                option="pass --overwrite to write it again",
+                code=lost[0].code,
+            )
+        for group, content in contents.items():
+            state = occupant(group, content, location, manifest) if exists else ""
+            other = Problem(
+                f"group {'/' + group!r} exists, {state}",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+                code="store-exists",
+            )
+            faults: dict[str, Problem | None] = {
+                "parent": Problem(
+                    f"group {'/' + group!r} contains other groups, files or folders, which would be lost",
+                    mend="choose another group, or move them away first",
+                    code="group-occupied",
+                ),
+                "array": Problem(
+                    f"{'/' + group!r} or a parent of it is an array",
+                    mend="choose another group",
+                    code="group-occupied",
+                ),
+                **dict.fromkeys(("same", "", "lacks chunks")),
+            }
+            fault = faults.get(state, None if overwrite else other)
+            problems.extend([fault] if fault is not None else [])
+            pending += [group] if state != "same" else []
     return pending
 
 
@@ -1193,14 +1184,13 @@ def check_room(
 
 
 def _check_disk(jobs: list[Job], location: Location) -> None:
-    if location.local is None or not jobs:
-        return
-    stage = Staging(real_folder(location.local))
-    check_disk(
-        location.local,
-        sum(disk_needed(job.dataset, job.codec) for job in jobs),
-        [folder for job in jobs for folder in stage.leftovers(job.group, job.build)],
-    )
+    if location.local is not None and jobs:
+        stage = Staging(real_folder(location.local))
+        check_disk(
+            location.local,
+            sum(disk_needed(job.dataset, job.codec) for job in jobs),
+            [folder for job in jobs for folder in stage.leftovers(job.group, job.build)],
+        )
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
