@@ -60,11 +60,11 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInterpolator, interp1d
 
 from hyperpaint.base import (
+    ArrayLike,
     Fact,
     Floats,
     Problems,
@@ -452,9 +452,8 @@ def built_in_sky(
     #
     # Raises `SchemaError`: A number is outside its range in `SKY`, or the wavelengths are no grid.
     check_wavelengths(wavelength)
-    problems = Problems("the light of the sky cannot be computed", SchemaError)
-    check_values(SKY, {"sun_zenith": sun_zenith, "aerosol": aerosol, "water": water}, problems)
-    problems.raise_if_any()
+    with Problems("the light of the sky cannot be computed", SchemaError) as problems:
+        check_values(SKY, {"sun_zenith": sun_zenith, "aerosol": aerosol, "water": water}, problems)
     direct, diffuse = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water).irradiance(
         wavelength
     )
@@ -539,9 +538,8 @@ def cloud_transmittance(wavelength: Floats, oktas: float, *, colour: float = 0.2
     >>> cloud_transmittance(np.array([400.0, 490.0, 700.0, 1000.0]), 8).round(3)
     array([0.306, 0.25 , 0.216, 0.208])
     """
-    problems = Problems("clouds cannot be made", SchemaError)
-    check_values(SKY | {"colour": _COLOUR}, {"oktas": oktas, "colour": colour}, problems)
-    problems.raise_if_any()
+    with Problems("clouds cannot be made", SchemaError) as problems:
+        check_values(SKY | {"colour": _COLOUR}, {"oktas": oktas, "colour": colour}, problems)
     factor = cloud_factor(oktas)
     tint = colour * (1.0 - factor)
     return np.asarray(factor * (1.0 - tint + tint * (wavelength / _CLOUD_REFERENCE_NM) ** -4.0))
@@ -588,9 +586,8 @@ class Haze:
     ground: float = fact(0.15, "reflectance of the surroundings at all wavelengths", least=0.0, most=1.0)
 
     def __post_init__(self) -> None:
-        problems = Problems("haze cannot be made", SchemaError)
-        check_fields(self, problems)
-        problems.raise_if_any()
+        with Problems("haze cannot be made", SchemaError) as problems:
+            check_fields(self, problems)
 
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
         relative = wavelength / _HAZE_REFERENCE_NM
@@ -675,11 +672,10 @@ class BrokenClouds:
     seed: int = fact(0, "chooses the clouds", least=0, most=MAX_SEED)
 
     def __post_init__(self) -> None:
-        problems = Problems("the clouds cannot be used", SchemaError)
-        check_fields(self, problems)
-        problems.raise_if_any()
+        with Problems("the clouds cannot be used", SchemaError) as problems:
+            check_fields(self, problems)
 
-    def factors(self, east: npt.ArrayLike, north: npt.ArrayLike, seconds: npt.ArrayLike) -> Floats:
+    def factors(self, east: ArrayLike, north: ArrayLike, seconds: ArrayLike) -> Floats:
         """Return factors of direct and of diffuse light, (2, ...); 1 at NaN places.
 
         Parameters
@@ -796,41 +792,41 @@ class Atmosphere:
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)  # presets are shared objects
             object.__setattr__(self, name, array)
-        problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
-        # curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0
-        grid = self.wavelength
-        try:
-            check_wavelengths(grid)
-        except SchemaError as error:
-            problems.extend([error.problem])
-        for name in ("wavelength", *_CURVES):
-            curve = getattr(self, name)
-            if curve.shape != grid.shape:
-                problems.add(
-                    f"{name} has shape {curve.shape}",
-                    expected=f"{grid.shape}, as wavelength",
-                    code="grid-mismatch",
-                )
-            elif not np.isfinite(curve).all():
-                problems.add(
-                    f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite",
-                    code="not-finite",
-                )
-            elif (curve < 0.0).any():
-                problems.add(
-                    f"{name} falls to {curve.min():.4g}",
-                    expected="nothing below 0",
-                    code="value-out-of-range",
-                )
-        check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
-        shares, expected = self.clear_shares, (len(FUNCTIONS) - 1, *np.shape(self.wavelength))
-        problems.add_if(
-            shares.shape != expected or not np.isfinite(shares).all(),
-            f"clear_shares has shape {shares.shape}, {int((~np.isfinite(shares)).sum())} values not finite",
-            expected=f"finite values of shape {expected}",
-            code="length-mismatch",
-        )
-        problems.raise_if_any()
+        with Problems(f"atmosphere {self.name!r} cannot be used", SchemaError) as problems:
+            # curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0
+            grid = self.wavelength
+            try:
+                check_wavelengths(grid)
+            except SchemaError as error:
+                problems.extend([error.problem])
+            for name in ("wavelength", *_CURVES):
+                curve = getattr(self, name)
+                if curve.shape != grid.shape:
+                    problems.add(
+                        f"{name} has shape {curve.shape}",
+                        expected=f"{grid.shape}, as wavelength",
+                        code="grid-mismatch",
+                    )
+                elif not np.isfinite(curve).all():
+                    problems.add(
+                        f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite",
+                        code="not-finite",
+                    )
+                elif (curve < 0.0).any():
+                    problems.add(
+                        f"{name} falls to {curve.min():.4g}",
+                        expected="nothing below 0",
+                        code="value-out-of-range",
+                    )
+            check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
+            shares, expected = self.clear_shares, (len(FUNCTIONS) - 1, *np.shape(self.wavelength))
+            problems.add_if(
+                shares.shape != expected or not np.isfinite(shares).all(),
+                f"clear_shares has shape {shares.shape}, "
+                f"{int((~np.isfinite(shares)).sum())} values not finite",
+                expected=f"finite values of shape {expected}",
+                code="length-mismatch",
+            )
 
     @property
     def uniform(self) -> Floats:
@@ -857,7 +853,7 @@ class Atmosphere:
         ozone: float = 0.31,
         water: float = 1.0,
         haze: Haze | None = HAZE,
-        wavelength: npt.ArrayLike | None = None,
+        wavelength: ArrayLike | None = None,
         name: str = "clear",
     ) -> Atmosphere:
         # Return the clear sky of the simulator, which resolves the absorption lines of oxygen.
@@ -908,7 +904,7 @@ class Atmosphere:
         sun_zenith: float,
         sun_azimuth: float = 180.0,
         time: Any = None,
-        direct_fraction: npt.ArrayLike | None = None,
+        direct_fraction: ArrayLike | None = None,
         overcast_share: float = 0.0,
         haze: Haze | None = HAZE,
         name: str = "measured",
@@ -1116,19 +1112,20 @@ class Atmosphere:
         #
         # Raises `SchemaError`: Variables are missing, or their values cannot be used; all are listed. Raises
         # `UnitsError`: A variable has no units, or units of another quantity.
-        problems = Problems("an atmosphere cannot be read", SchemaError)
-        for name in ("wavelength", *_CURVES, *_NUMBERS):
-            problems.add_if(name not in dataset.variables, f"{name!r} is missing", code="variable-missing")
-        has_shares = "clear_shares" in dataset.variables
-        problems.add_if(
-            "aureole" in dataset.variables
-            or (has_shares and dataset["function"].values.tolist() != list(FUNCTIONS[1:])),
-            "its clear sky is that of another version",
-            expected=f"functions {', '.join(FUNCTIONS[1:])}",
-            mend="make the atmosphere anew",
-            code="trace-outdated",
-        )
-        problems.raise_if_any()
+        with Problems("an atmosphere cannot be read", SchemaError) as problems:
+            for name in ("wavelength", *_CURVES, *_NUMBERS):
+                problems.add_if(
+                    name not in dataset.variables, f"{name!r} is missing", code="variable-missing"
+                )
+            has_shares = "clear_shares" in dataset.variables
+            problems.add_if(
+                "aureole" in dataset.variables
+                or (has_shares and dataset["function"].values.tolist() != list(FUNCTIONS[1:])),
+                "its clear sky is that of another version",
+                expected=f"functions {', '.join(FUNCTIONS[1:])}",
+                mend="make the atmosphere anew",
+                code="trace-outdated",
+            )
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
         )

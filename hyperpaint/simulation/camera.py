@@ -147,47 +147,46 @@ class BandSet:
     responsivity: Callable[[Floats], Floats] | None = None
 
     def __post_init__(self) -> None:
-        problems = Problems("these bands cannot be rendered", SchemaError)
-        wavelength, fwhm = (finite_floats(getattr(self, n), n, problems) for n in ("wavelength", "fwhm"))
-        shift = self.wavelength_shift
-        if shift is not None:
-            shift = finite_floats(shift, "wavelength_shift", problems)
-        has_axis = wavelength.ndim == 1 and wavelength.size > 0
-        has_widths = fwhm.shape in ((), (1,), wavelength.shape)
-        one_of(self.shape, SHAPES, "shape", problems=problems)
-        for is_fault, found, expected, mend, code in (
-            (not has_axis, f"wavelength has shape {wavelength.shape}", "(band,)", "", "dims-wrong"),
-            (
-                has_axis and not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0),
-                "wavelength is not positive and increasing",
-                "",
-                "sort the bands",
-                "wavelength-unordered",
-            ),
-            (
-                not has_widths,
-                f"fwhm has shape {fwhm.shape}",
-                f"one value or {wavelength.shape}",
-                "",
-                "dims-wrong",
-            ),
-            (
-                has_widths and not np.all(fwhm > 0),
-                f"fwhm falls to {fwhm.min(initial=np.inf):g} nm",
-                "a width above 0",
-                "",
-                "value-out-of-range",
-            ),
-            (
-                shift is not None and (shift.ndim != 1 or not shift.size),
-                f"wavelength_shift has shape {None if shift is None else shift.shape}",
-                "(cross_track,)",
-                "",
-                "dims-wrong",
-            ),
-        ):
-            problems.add_if(is_fault, found, expected=expected, mend=mend, code=code)
-        problems.raise_if_any()
+        with Problems("these bands cannot be rendered", SchemaError) as problems:
+            wavelength, fwhm = (finite_floats(getattr(self, n), n, problems) for n in ("wavelength", "fwhm"))
+            shift = self.wavelength_shift
+            if shift is not None:
+                shift = finite_floats(shift, "wavelength_shift", problems)
+            has_axis = wavelength.ndim == 1 and wavelength.size > 0
+            has_widths = fwhm.shape in ((), (1,), wavelength.shape)
+            one_of(self.shape, SHAPES, "shape", problems=problems)
+            for is_fault, found, expected, mend, code in (
+                (not has_axis, f"wavelength has shape {wavelength.shape}", "(band,)", "", "dims-wrong"),
+                (
+                    has_axis and not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0),
+                    "wavelength is not positive and increasing",
+                    "",
+                    "sort the bands",
+                    "wavelength-unordered",
+                ),
+                (
+                    not has_widths,
+                    f"fwhm has shape {fwhm.shape}",
+                    f"one value or {wavelength.shape}",
+                    "",
+                    "dims-wrong",
+                ),
+                (
+                    has_widths and not np.all(fwhm > 0),
+                    f"fwhm falls to {fwhm.min(initial=np.inf):g} nm",
+                    "a width above 0",
+                    "",
+                    "value-out-of-range",
+                ),
+                (
+                    shift is not None and (shift.ndim != 1 or not shift.size),
+                    f"wavelength_shift has shape {None if shift is None else shift.shape}",
+                    "(cross_track,)",
+                    "",
+                    "dims-wrong",
+                ),
+            ):
+                problems.add_if(is_fault, found, expected=expected, mend=mend, code=code)
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
         object.__setattr__(self, "wavelength_shift", shift)
@@ -211,15 +210,14 @@ class BandSet:
             return cls.nano_hyperspec()
         if type(bands) is cls:
             return bands
-        problems = Problems("these bands cannot be rendered", SchemaError)
-        for name in ("wavelength", "fwhm"):
-            problems.add_if(
-                getattr(bands, name, None) is None,
-                f"{name!r} is missing",
-                mend="pass a BandSet, or a Dataset with wavelength and fwhm",
-                code="variable-missing",
-            )
-        problems.raise_if_any()
+        with Problems("these bands cannot be rendered", SchemaError) as problems:
+            for name in ("wavelength", "fwhm"):
+                problems.add_if(
+                    getattr(bands, name, None) is None,
+                    f"{name!r} is missing",
+                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                    code="variable-missing",
+                )
         attrs = getattr(bands, "attrs", {})
         shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
         shift = getattr(bands, "wavelength_shift", None)
