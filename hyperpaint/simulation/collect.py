@@ -35,7 +35,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import xarray as xr
 import zarr
-from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
 from hyperpaint.base import (
@@ -47,9 +46,11 @@ from hyperpaint.base import (
     SWEEP_VARIABLES,
     TIME_UNITS,
     VARIABLES,
+    Bools,
     Floats,
     Floats32,
     FormatError,
+    Ints,
     Problems,
     Progress,
     SchemaError,
@@ -202,17 +203,16 @@ class SweepSettings:
     )
 
     def __post_init__(self) -> None:
-        problems = Problems("the sweep cannot be simulated", SchemaError)
-        check_fields(self, problems)
-        for name in ("monochromator_fwhm_nm", "step_exposure_ms"):
-            number = np.size(getattr(self, name))
-            problems.add_if(
-                np.ndim(getattr(self, name)) == 1 and number != self.steps,
-                f"{name} has {number} values",
-                expected=f"one, or one for each of {self.steps} steps",
-                code="length-mismatch",
-            )
-        problems.raise_if_any()
+        with Problems("the sweep cannot be simulated", SchemaError) as problems:
+            check_fields(self, problems)
+            for name in ("monochromator_fwhm_nm", "step_exposure_ms"):
+                number = np.size(getattr(self, name))
+                problems.add_if(
+                    np.ndim(getattr(self, name)) == 1 and number != self.steps,
+                    f"{name} has {number} values",
+                    expected=f"one, or one for each of {self.steps} steps",
+                    code="length-mismatch",
+                )
 
     @classmethod
     def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> Self:
@@ -526,7 +526,7 @@ def _consolidate(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> dict[str, xr.Variable]:
+def _line_coords(flight: Flight, recorded: Bools | None = None) -> dict[str, xr.Variable]:
     stamps = (flight.start + flight.line_times).astype("datetime64[ns]")
     if recorded is not None:
         stamps[~recorded] = np.datetime64("NaT", "ns")
@@ -583,7 +583,7 @@ class TruthStore:
         }
         _consolidate(path)
 
-    def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
+    def write(self, start: int, lines: Lines, recorded: Bools) -> None:
         rows = slice(start, start + len(recorded))
         for name, values in {
             **{name: getattr(lines, name) for name in ("reflectance", "radiance", "surface", "glint")},
@@ -594,7 +594,7 @@ class TruthStore:
             self._arrays[name][rows] = values
 
 
-def _saturated(lines: Lines, saturation_count: int) -> NDArray[np.bool_]:
+def _saturated(lines: Lines, saturation_count: int) -> Bools:
     return np.asarray((lines.counts >= saturation_count - 0.5).any(axis=1))
 
 
@@ -972,7 +972,7 @@ class PaintedRectangles:
         self._heights = np.zeros(columns)
         self._run_lengths = np.zeros(columns, np.int64)
 
-    def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
+    def add(self, lines: Lines, recorded: Bools) -> None:
         # add scan lines in order; only ``recorded`` lines (along_track,) are used
         labels = self._flight.clean_paint(lines)
         heights = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
@@ -996,8 +996,12 @@ class PaintedRectangles:
         enough = self._run_lengths >= MIN_SIDE_PIXELS
         if not enough.any():
             return
-        is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
-        is_joined &= np.abs(np.diff(self._heights)) <= self._step
+        is_joined = (
+            enough[1:]
+            & enough[:-1]
+            & (np.diff(self._label) == 0)
+            & (np.abs(np.diff(self._heights)) <= self._step)
+        )
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))
         for begin, end in edges.reshape(-1, 2).tolist():
             if end + 1 - begin >= MIN_SIDE_PIXELS:
@@ -1149,7 +1153,7 @@ def simulate_collect(
     ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
     asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson survey.csv svc truth.zarr
     """
-    target = input_path(folder, "a folder for the collect", StoreError, "simulate to a folder, and copy it")
+    root = input_path(folder, "a folder for the collect", StoreError, "simulate to a folder, and copy it")
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
@@ -1167,7 +1171,41 @@ def simulate_collect(
     )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = flight_of(settings)
-    root = _prepare(target, overwrite)
+    StoreError.raise_if(
+        root.exists() and not root.is_dir(),
+        f"{root} is a file",
+        mend="pass a folder for the simulated collect",
+        code="folder-is-file",
+    )
+    if root.is_dir() and any(root.iterdir()):
+        if not overwrite:
+            mend = "choose another folder, or replace an earlier collect with {}"
+            raise StoreError(
+                f"{root} is not empty",
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="folder-not-empty",
+            )
+        # files of a collect that no simulation wrote are not replaced
+        entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
+        StoreError.raise_if(
+            entries and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode(),
+            f"{root} holds {', '.join(entries[:3])}, and no collect.toml that begins with {MARKER!r}",
+            expected="an earlier simulated collect",
+            mend="choose another folder; nothing was removed",
+            code="folder-foreign",
+        )
+        (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
+        for name in PARTS[:-1]:
+            part_path = root / name
+            if part_path.is_dir() and not part_path.is_symlink():
+                shutil.rmtree(part_path)
+            else:
+                part_path.unlink(missing_ok=True)
+    for name in ("flight", "dark", "asd"):
+        (root / name).mkdir(parents=True)
+    # mark the folder as simulated, also if this run is interrupted
+    (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
     folder = root / "dark"
     dark = flight.dark_frames()
     dark.astype("<u2").tofile(folder / "raw_0")
@@ -1250,50 +1288,11 @@ def flight_of(settings: SimulationSettings) -> Flight:
     return _FLIGHTS.get(settings.scene, RenderedFlight)(settings)
 
 
-def _prepare(root: Path, overwrite: bool) -> Path:
-    StoreError.raise_if(
-        root.exists() and not root.is_dir(),
-        f"{root} is a file",
-        mend="pass a folder for the simulated collect",
-        code="folder-is-file",
-    )
-    if root.is_dir() and any(root.iterdir()):
-        if not overwrite:
-            mend = "choose another folder, or replace an earlier collect with {}"
-            raise StoreError(
-                f"{root} is not empty",
-                mend=mend.format("overwrite=True"),
-                option=mend.format("--overwrite"),
-                code="folder-not-empty",
-            )
-        # files of a collect that no simulation wrote are not replaced
-        entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
-        StoreError.raise_if(
-            entries and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode(),
-            f"{root} holds {', '.join(entries[:3])}, and no collect.toml that begins with {MARKER!r}",
-            expected="an earlier simulated collect",
-            mend="choose another folder; nothing was removed",
-            code="folder-foreign",
-        )
-        (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
-        for name in PARTS[:-1]:
-            target = root / name
-            if target.is_dir() and not target.is_symlink():
-                shutil.rmtree(target)
-            else:
-                target.unlink(missing_ok=True)
-    for name in ("flight", "dark", "asd"):
-        (root / name).mkdir(parents=True)
-    # mark the folder as simulated, also if this run is interrupted
-    (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
-    return root
-
-
-def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
+def _instrument_stamps(since_start: Ints) -> Ints:
     return np.asarray((since_start + _RECORDS.boot) // 1000, dtype=np.int64)
 
 
-def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
+def _frame_stamps(mid_times: Ints, settings: SimulationSettings) -> Ints:
     half_exposure = round(settings.exposure_time_ms * 1e6 / 2)
     return _instrument_stamps(
         mid_times

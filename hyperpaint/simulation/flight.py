@@ -57,7 +57,7 @@ from .rendering.relighting import (
     source_spectra,
     trace_block,
 )
-from .rendering.scene import Scene, SceneRecord, TraceSettings, label_layers
+from .rendering.scene import SceneRecord, TraceSettings, label_layers
 from .rendering.scene_spectra import CAR_PAINTS, MATERIALS, PANELS, paint_spec, reflectance, spectrum_of
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .transport.mixing import member_rows
@@ -239,8 +239,7 @@ class Flight(abc.ABC):
         def record(row: int) -> Floats:
             # store reflectance and radiance of a row; return pi INT L R of its elements (band, column)
             light, (direct, diffuse) = element_light(row), self._factors(first_line + row)[:, 0]
-            incident = self.incident[0] * direct
-            incident += diffuse * self.incident[1]
+            incident = self.incident[0] * direct + diffuse * self.incident[1]
             np.divide(light, incident, out=lines.reflectance[row], casting="same_kind")
             np.divide(light, np.pi * self.response_area, out=lines.radiance[row], casting="same_kind")
             return light if optics is None else light / factor
@@ -711,7 +710,37 @@ class RenderedFlight(Flight):
 
     def __init__(self, settings: SimulationSettings) -> None:
         super().__init__(settings)
-        scene = self._car_park()
+        # the park starts before the view of the first line and ends behind that of the last line
+        # maximum distance ahead at which the camera looks, and length of park before its view [m]
+        path = self.trajectory
+        lean = float(np.tan(np.radians(max(_RENDERED.min_lean_deg, path.steepest))))
+        ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
+        yaw_margin = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        self._ahead = ahead + _RENDERED.margin_before_m
+        before = ahead + max(_RENDERED.margin_before_m, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
+        start = np.ceil((before + ahead) / _RENDERED.panel_period_m) * _RENDERED.panel_period_m - ahead
+        length = start + settings.lines * self.ground_sample + before
+        SchemaError.raise_if(
+            length > _RENDERED.max_length_m,
+            f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
+            expected=f"at most {_RENDERED.max_length_m:g} m",
+            mend="take fewer lines, more columns, or scene='plan'",
+            code="flight-too-long",
+        )
+        park = car_park(
+            length=float(length),
+            width=SWATH_M,
+            seed=settings.seed,
+            neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
+            coat="own" if settings.coat else None,
+            fleet=settings.fleet,
+            # flakes only for the real fleet: a metallic paint has no single reflectance for a field
+            # spectrometer
+            flakes=settings.fleet == "real",
+            margin=float(_RENDERED.ground_margin_m + 2 * before),
+            name="simulated car park",
+        )
+        scene = park.moved((0.0, -float(start), 0.0))
         record = SceneRecord.of(scene)
         overcast = settings.sky == "overcast"
         trace = TraceSettings(
@@ -831,43 +860,10 @@ class RenderedFlight(Flight):
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
         # paint and car of pixels that show only one car's paint, in full sun and without glint; else -1
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
-        is_clean = (paint >= 0) & (car >= 0)
-        is_clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
+        is_clean = (
+            (paint >= 0) & (car >= 0) & (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
+        )
         return np.where(is_clean, paint + len(self.paints) * car, -1).astype(np.int32)
-
-    def _car_park(self) -> Scene:
-        # the park starts before the view of the first line and ends behind that of the last line
-        settings = self.settings
-        # maximum distance ahead at which the camera looks, and length of park before its view [m]
-        path = self.trajectory
-        lean = float(np.tan(np.radians(max(_RENDERED.min_lean_deg, path.steepest))))
-        ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
-        yaw_margin = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
-        self._ahead = ahead + _RENDERED.margin_before_m
-        before = ahead + max(_RENDERED.margin_before_m, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
-        start = np.ceil((before + ahead) / _RENDERED.panel_period_m) * _RENDERED.panel_period_m - ahead
-        length = start + settings.lines * self.ground_sample + before
-        SchemaError.raise_if(
-            length > _RENDERED.max_length_m,
-            f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
-            expected=f"at most {_RENDERED.max_length_m:g} m",
-            mend="take fewer lines, more columns, or scene='plan'",
-            code="flight-too-long",
-        )
-        park = car_park(
-            length=float(length),
-            width=SWATH_M,
-            seed=settings.seed,
-            neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
-            coat="own" if settings.coat else None,
-            fleet=settings.fleet,
-            # flakes only for the real fleet: a metallic paint has no single reflectance for a field
-            # spectrometer
-            flakes=settings.fleet == "real",
-            margin=float(_RENDERED.ground_margin_m + 2 * before),
-            name="simulated car park",
-        )
-        return park.moved((0.0, -float(start), 0.0))
 
     @cached_property
     def platform(self) -> Platform:

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyperpaint.base import Floats
+from hyperpaint.base import Floats, Ints, Times
 
 from .settings import SimulationSettings
 
@@ -78,7 +77,7 @@ def write_settings(path: Path, settings: SimulationSettings) -> None:
     path.write_text("".join(f"{key} = {value}\n" for key, value in rows.items()), encoding="ascii")
 
 
-def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
+def write_frame_index(path: Path, frames: Ints, stamps: Ints) -> None:
     # write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock
     rows = "".join(
         f"{frame}\t{stamp}\n" for frame, stamp in zip(frames.tolist(), stamps.tolist(), strict=True)
@@ -86,9 +85,7 @@ def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.
     path.write_text(f"Frame#\tTimestamp\n{rows}", encoding="ascii")
 
 
-def write_navigation(
-    path: Path, pose: Mapping[str, Floats], stamps: NDArray[np.int64], utc: NDArray[np.datetime64]
-) -> None:
+def write_navigation(path: Path, pose: Mapping[str, Floats], stamps: Ints, utc: Times) -> None:
     # write ``imu_gps.txt`` (variant A)
     # pose: roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,)
     # stamps: microseconds of the instrument's clock, shape (row,)
@@ -109,7 +106,7 @@ def write_navigation(
     path.write_text(header + "".join(rows), encoding="ascii")
 
 
-def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime64]) -> None:
+def write_sbet(path: Path, pose: Mapping[str, Floats], utc: Times) -> None:
     # write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities
     # pose: as for `write_navigation`; heights above the ellipsoid
     # utc: UTC of the rows, shape (row,)
@@ -191,7 +188,7 @@ def _write_asd(
         for moment in (reference_stamp, stamp)
     )
     header = bytearray(484)
-    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
+    for offset, layout, values in (
         (0, "3s", (b"as7",)),
         (3, "157s", (comment,)),
         (160, "9h", (*clock, (local.tm_wday + 1) % 7, local.tm_yday - 1, 0)),
@@ -210,8 +207,7 @@ def _write_asd(
         (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
         (431, "B", (2,)),  # LSVNIR
         (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
-    )
-    for offset, layout, values in fields:
+    ):
         struct.pack_into("<" + layout, header, offset, *values)
     sections = [
         bytes(header),
