@@ -587,9 +587,8 @@ class SimulationSettings(OpticsSettings):
     )
 
     def __post_init__(self) -> None:
-        problems = Problems("the collect cannot be simulated", SchemaError)
-        self._note_faults(problems, as_argument)
-        problems.raise_if_any()
+        with Problems("the collect cannot be simulated", SchemaError) as problems:
+            self._note_faults(problems, as_argument)
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
@@ -629,7 +628,132 @@ class SimulationSettings(OpticsSettings):
             except SchemaError as error:
                 problems.extend([error.problem])
         if len(problems) == problem_count:
-            self._note_contradictions(problems, spelled)
+            # contradictions between values, each of which is in its range
+            def spelled_value(name: str) -> str:
+                return spelled(name, getattr(self, name))
+
+            minutes = (self.lines * self.frame_period_ms / 1000.0 + 2 * self.irradiance_margin_s) / 60.0
+            elements, full = self.bands * self.columns, 2**self.bit_depth - 1
+            dark = self.dark_level + self.dark_rate * self.exposure_time + self.pedestal
+            blurs = self.psf_across_columns or self.psf_along_lines
+            dropped, max_dropped = self.dropped, self.lines - 2 * self.cubes
+            frames: set[int] = set() if isinstance(dropped, int) else set(dropped)
+            is_beyond = any(not 0 <= frame < self.lines for frame in frames)
+            cubes = itertools.starmap(range, itertools.pairwise(self.cube_starts.tolist()))
+            is_board, option = self.scene == "checkerboard", "option-conflict"
+            for is_fault, name, found, expected, mend, code in [
+                (
+                    self.exposure_time_ms > self.frame_period_ms,
+                    "exposure_time_ms",
+                    f" exceeds {spelled_value('frame_period_ms')}",
+                    "",
+                    "shorten the exposure, or lengthen the period",
+                    "exposure-too-long",
+                ),
+                (
+                    abs(self.drift_per_minute) * minutes > 0.9,
+                    "drift_per_minute",
+                    f" leaves no light after {minutes:.1f} minutes",
+                    "",
+                    "lower the drift, or take fewer lines",
+                    "light-missing",
+                ),
+                (10**9 % self.navigation_rate, "navigation_rate", "", "a divisor of 1e9", "take 100", _RANGE),
+                *(
+                    (
+                        not is_board and getattr(self, name) != value,
+                        name,
+                        "",
+                        f"{value:g} for all scenes but a checkerboard",
+                        "choose the scene checkerboard",
+                        option,
+                    )
+                    for name, value in (("swath", SWATH_M), ("course", 0.0))
+                ),
+                (
+                    self.first_wavelength >= self.last_wavelength,
+                    "first_wavelength",
+                    "",
+                    f"less than {spelled_value('last_wavelength')}",
+                    "swap them",
+                    "band-order",
+                ),
+                (
+                    self.lines < 2 * self.cubes,
+                    "cubes",
+                    "",
+                    f"at most one for every two of the {self.lines} lines",
+                    "take fewer cubes",
+                    _RANGE,
+                ),
+                (
+                    self.bad_elements > elements,
+                    "bad_elements",
+                    "",
+                    f"at most the {elements} elements of the camera",
+                    "take fewer",
+                    _RANGE,
+                ),
+                (
+                    2 * self.masked_columns >= self.columns,
+                    "masked_columns",
+                    " at both edges",
+                    f"fewer than the {self.columns} columns of the camera",
+                    "mask fewer columns",
+                    _RANGE,
+                ),
+                (
+                    dark >= full,
+                    "dark_level",
+                    f" with {spelled_value('dark_rate')} and {spelled_value('pedestal')}",
+                    f"less than the {full} counts of {self.bit_depth} bits",
+                    "lower the dark, or take more bits",
+                    "dark-saturated",
+                ),
+                (
+                    self.psf_kernel is not None and blurs,
+                    "psf_kernel",
+                    " and a Gaussian point spread",
+                    "one of them",
+                    "keep one",
+                    option,
+                ),
+                (
+                    self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0),
+                    "cloud",
+                    "",
+                    "a fraction from 0 to 1 and a duration above 0 s",
+                    "correct them",
+                    _RANGE,
+                ),
+                (
+                    isinstance(dropped, int) and not 0 <= dropped <= max_dropped,
+                    "dropped",
+                    "",
+                    f"at most {max_dropped}: a cube keeps its outer frames",
+                    "drop fewer",
+                    _RANGE,
+                ),
+                (
+                    is_beyond,
+                    "dropped",
+                    "",
+                    f"frames from 0 to {self.lines - 1}",
+                    "leave the others out",
+                    _RANGE,
+                ),
+                (
+                    frames and not is_beyond and any(map(frames.issuperset, cubes)),
+                    "dropped",
+                    " leaves a cube empty",
+                    "",
+                    "keep a frame of every cube",
+                    "cube-empty",
+                ),
+            ]:
+                problems.add_if(
+                    is_fault, f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code
+                )
 
     @property
     def shape(self) -> tuple[int, int, int]:
