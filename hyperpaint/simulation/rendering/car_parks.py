@@ -256,37 +256,45 @@ def _cells(
     # ranges of stations and columns with their surface and part of the car
     lid, nose, gap = shape.boot_seam, 0.045, _BODY.seam_m / length
     cowl, top, roof_end, rear = shape.cowl, shape.windscreen_top, shape.roof_end, shape.rear_base
-    # flanks
-    yield 0.0, 1.0, _SIDE, "paint", "wing"
-    yield shape.doors[0], shape.doors[-1], _FLANK, "paint", "door"
-    yield 0.0, 0.045, _SIDE, "paint", "bumper"
-    yield 0.972, 1.0, _SIDE, "paint", "bumper"
-    yield cowl, rear, _WINDOW, "paint", "pillar"
-    yield cowl + 0.3 * (top - cowl), rear, _WINDOW, "glass", "side_window"
-    yield from ((begin, min(end, rear), _WINDOW, "paint", "pillar") for begin, end in shape.pillars)
-    yield from ((door, door + gap, _FLANK, "trim", "seam") for door in shape.doors)
-    yield 0.006, 0.085, range(_SHOULDER, _WINDOW + 1), "lamp", "lamp"
-    yield 0.96, 0.994, range(_SHOULDER - 1, _SHOULDER + 1), "tail_lamp", "lamp"
-    # from above
-    for begin, end, name in ((0.0, cowl, "bonnet"), (top, roof_end, "roof"), (rear, 1.0, "boot")):
-        yield begin, end, _DECK, "paint", name
-        yield begin, end, _DITCH, "trim", "seam"
-    for begin, end, name in ((cowl, top, "windscreen"), (roof_end, rear, "rear_window")):
-        yield begin, end, _EDGES, "paint", "pillar"
-        yield begin, end, _TOP, "glass", name
-    yield cowl - 0.018, cowl, _DECK, "trim", "seam"  # recess of the wipers
-    yield 0.0, nose, _DECK, "paint", "bumper"
-    yield lid, 1.0, _DECK, "paint", "bumper"
-    yield nose, nose + gap, _DECK, "trim", "seam"
+    cells: list[tuple[float, float, int | range, str, str]] = [
+        # flanks
+        (0.0, 1.0, _SIDE, "paint", "wing"),
+        (shape.doors[0], shape.doors[-1], _FLANK, "paint", "door"),
+        (0.0, 0.045, _SIDE, "paint", "bumper"),
+        (0.972, 1.0, _SIDE, "paint", "bumper"),
+        (cowl, rear, _WINDOW, "paint", "pillar"),
+        (cowl + 0.3 * (top - cowl), rear, _WINDOW, "glass", "side_window"),
+        *((begin, min(end, rear), _WINDOW, "paint", "pillar") for begin, end in shape.pillars),
+        *((door, door + gap, _FLANK, "trim", "seam") for door in shape.doors),
+        (0.006, 0.085, range(_SHOULDER, _WINDOW + 1), "lamp", "lamp"),
+        (0.96, 0.994, range(_SHOULDER - 1, _SHOULDER + 1), "tail_lamp", "lamp"),
+        # from above
+        (0.0, cowl, _DECK, "paint", "bonnet"),
+        (0.0, cowl, _DITCH, "trim", "seam"),
+        (top, roof_end, _DECK, "paint", "roof"),
+        (top, roof_end, _DITCH, "trim", "seam"),
+        (rear, 1.0, _DECK, "paint", "boot"),
+        (rear, 1.0, _DITCH, "trim", "seam"),
+        (cowl, top, _EDGES, "paint", "pillar"),
+        (cowl, top, _TOP, "glass", "windscreen"),
+        (roof_end, rear, _EDGES, "paint", "pillar"),
+        (roof_end, rear, _TOP, "glass", "rear_window"),
+        (cowl - 0.018, cowl, _DECK, "trim", "seam"),  # recess of the wipers
+        (0.0, nose, _DECK, "paint", "bumper"),
+        (lid, 1.0, _DECK, "paint", "bumper"),
+        (nose, nose + gap, _DECK, "trim", "seam"),
+    ]
     if shape.bed:
         begin, end = shape.bed
-        yield begin, end, _DECK, "trim", "bed"
-        yield begin, begin + gap, _DECK, "paint", "bed"
-        yield end, 1.0, _DECK, "paint", "bed"
-        return
+        return [
+            *cells,
+            (begin, end, _DECK, "trim", "bed"),
+            (begin, begin + gap, _DECK, "paint", "bed"),
+            (end, 1.0, _DECK, "paint", "bed"),
+        ]
     if sunroof:
-        yield top + 0.03, top + (roof_end - top) / 2, _TOP, "glass", "roof"
-    yield lid, lid + gap, _DECK, "trim", "seam"
+        cells.append((top + 0.03, top + (roof_end - top) / 2, _TOP, "glass", "roof"))
+    return [*cells, (lid, lid + gap, _DECK, "trim", "seam")]
 
 
 def _ends(sections: Floats) -> Iterator[Part]:
@@ -312,11 +320,13 @@ def _wheels(length: float, width: float) -> Iterator[Part]:
             arch = hub - (side * 0.003, 0, 0) + 1.17 * radius * rim
             arch[:, 2] = np.maximum(arch[:, 2], _BODY.sill_m)
             tread = back, hub, (radius, radius), "tyre", "wheel", _BODY.wheel_sides, False
-            yield Part(tube, tread, crease=_BODY.tread_crease_deg)
-            yield Part(polygon, (hub + radius * rim, "tyre", "wheel"))
-            yield Part(polygon, (hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel"))
-            # smoothing drops the triangles without area that clipping at the sill leaves
-            yield Part(polygon, (arch, "trim", "wing"), crease=1.0)
+            yield from (
+                Part(tube, tread, crease=_BODY.tread_crease_deg),
+                Part(polygon, (hub + radius * rim, "tyre", "wheel")),
+                Part(polygon, (hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel")),
+                # smoothing drops the triangles without area that clipping at the sill leaves
+                Part(polygon, (arch, "trim", "wing"), crease=1.0),
+            )
 
 
 # --- car parks ----------------------------------------------------------------------------------------------
@@ -674,16 +684,22 @@ def car_park(
     for key in ("paints", "types", "neighbours"):  # any collection of names, such as an array
         if isinstance(values[key], Collection) and not isinstance(values[key], str):
             values[key] = list(values[key])
-    problems = Problems("the car park cannot be laid out", SchemaError)
-    note_car_park_faults(values, problems)
-    problems.raise_if_any()
+    with Problems("the car park cannot be laid out", SchemaError) as problems:
+        note_car_park_faults(values, problems)
     if paints is None:
         first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
         paints = fleet_names(first, _LOT.fleet_size) if fleet == "real" else FOURTEEN
     cards = tuple(paints)
     surroundings = _WORN if fleet == "real" else _SURROUNDINGS
-    options: dict[str, Any] = {"margin": margin, "line_width": line_width, "islands": islands}
-    layout = strips_across(length, width, rows, **options, walls="walls" in neighbours)
+    layout = strips_across(
+        length,
+        width,
+        rows,
+        margin=margin,
+        line_width=line_width,
+        islands=islands,
+        walls="walls" in neighbours,
+    )
     ground = put_together([built(paved(layout)), *worn(layout, seed)])
     scenes = [ground.scene(surroundings, Instance("ground", "ground"))]
 

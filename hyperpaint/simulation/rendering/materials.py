@@ -20,9 +20,9 @@ from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import (
+    ArrayLike,
     Floats,
     Problems,
     SchemaError,
@@ -87,9 +87,8 @@ class Coat:
     )
 
     def __post_init__(self) -> None:
-        problems = Problems("a clear coat cannot be made", SchemaError)
-        check_fields(self, problems)
-        problems.raise_if_any()
+        with Problems("a clear coat cannot be made", SchemaError) as problems:
+            check_fields(self, problems)
 
 
 @declared
@@ -126,15 +125,14 @@ class Flakes:
     turned: str = ""
 
     def __post_init__(self) -> None:
-        problems = Problems("metal flakes cannot be made", SchemaError)
-        check_fields(self, problems)
-        problems.add_if(
-            not self.spectrum,
-            "spectrum is empty",
-            expected="a name such as 'aluminium'",
-            code="argument-missing",
-        )
-        problems.raise_if_any()
+        with Problems("metal flakes cannot be made", SchemaError) as problems:
+            check_fields(self, problems)
+            problems.add_if(
+                not self.spectrum,
+                "spectrum is empty",
+                expected="a name such as 'aluminium'",
+                code="argument-missing",
+            )
 
 
 @dataclass(frozen=True)
@@ -171,31 +169,30 @@ class Material:
     transmittance: str = ""
 
     def __post_init__(self) -> None:
-        problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
-        problems.add_if(not self.name, "name is empty", code="argument-missing")
-        problems.add_if(
-            not self.spectrum,
-            "spectrum is empty",
-            expected="the name of a reflectance spectrum",
-            code="argument-missing",
-        )
-        one_of(self.kind, KINDS, "kind", problems=problems)
-        problems.add_if(
-            self.flakes is not None and self.coat is None,
-            "flakes without a coat",
-            mend="pass coat=Coat()",
-            code="coat-missing",
-        )
-        problems.add_if(
-            self.transmittance and self.coat is not None,
-            "transmittance with a coat",
-            mend="leave one out: only thin surfaces without a coat transmit light",
-            code="option-conflict",
-        )
-        problems.raise_if_any()
+        with Problems(f"material {self.name!r} cannot be made", SchemaError) as problems:
+            problems.add_if(not self.name, "name is empty", code="argument-missing")
+            problems.add_if(
+                not self.spectrum,
+                "spectrum is empty",
+                expected="the name of a reflectance spectrum",
+                code="argument-missing",
+            )
+            one_of(self.kind, KINDS, "kind", problems=problems)
+            problems.add_if(
+                self.flakes is not None and self.coat is None,
+                "flakes without a coat",
+                mend="pass coat=Coat()",
+                code="coat-missing",
+            )
+            problems.add_if(
+                self.transmittance and self.coat is not None,
+                "transmittance with a coat",
+                mend="leave one out: only thin surfaces without a coat transmit light",
+                code="option-conflict",
+            )
 
 
-def fresnel_reflectance(cosine: npt.ArrayLike, index: float = 1.5) -> Floats:
+def fresnel_reflectance(cosine: ArrayLike, index: float = 1.5) -> Floats:
     """Return the reflectance of an interface for unpolarised light from the air.
 
     Parameters
@@ -276,7 +273,7 @@ def _through_interface(index: float, geometry: Geometry) -> float:
 
 
 def measured_factor(
-    reflectance: npt.ArrayLike,
+    reflectance: ArrayLike,
     index: float | None = 1.5,
     *,
     geometry: Geometry = "0/0",
@@ -357,7 +354,7 @@ def measured_factor(
 
 
 def base_albedo(
-    reflectance: npt.ArrayLike,
+    reflectance: ArrayLike,
     index: float = 1.5,
     *,
     geometry: Geometry = "0/0",
@@ -388,7 +385,7 @@ def base_albedo(
 
 
 def coated_reflectance(
-    albedo: npt.ArrayLike, index: float = 1.5, *, geometry: Geometry = "0/0", specular_included: bool = False
+    albedo: ArrayLike, index: float = 1.5, *, geometry: Geometry = "0/0", specular_included: bool = False
 ) -> Floats:
     """Return the measured reflectance of a base of albedo ``b`` under a clear coat; inverts `base_albedo`.
 
@@ -572,13 +569,13 @@ def lobe_factors(index: float, alpha: float, light: float, view: float, azimuth:
 @documented()
 def reflectance_factor(
     material: Material,
-    body: npt.ArrayLike,
-    flakes: npt.ArrayLike = 0.0,
+    body: ArrayLike,
+    flakes: ArrayLike = 0.0,
     *,
     light: float,
     view: float,
     azimuth: float = 180.0,
-    turned: npt.ArrayLike | None = None,
+    turned: ArrayLike | None = None,
 ) -> Floats:
     """Return the reflectance factor pi f of a paint in a geometry, without mirror reflection of its coat.
 
@@ -615,9 +612,7 @@ def reflectance_factor(
 
 
 @documented()
-def flop_index(
-    material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
-) -> float:
+def flop_index(material: Material, wavelength: ArrayLike, body: ArrayLike, flakes: ArrayLike = 0.0) -> float:
     """Return the flop index: decrease of lightness away from the mirror direction; near 0 for solid paints.
 
     Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
@@ -658,9 +653,9 @@ def _lobes_by_alpha(index: float) -> list[list[_Lobes]]:
 def _flops(
     material: Material,
     candidates: list[list[_Lobes]],
-    wavelength: npt.ArrayLike,
-    body: npt.ArrayLike,
-    flakes: npt.ArrayLike,
+    wavelength: ArrayLike,
+    body: ArrayLike,
+    flakes: ArrayLike,
 ) -> list[float]:
     # flop indices of a paint with each of several lobes in the three geometries
     grid = np.linspace(380.0, 780.0, len(_D65))
@@ -686,9 +681,9 @@ def _flops(
 def flakes_of_flop(
     flop: float,
     material: Material,
-    wavelength: npt.ArrayLike,
-    body: npt.ArrayLike,
-    flakes: npt.ArrayLike,
+    wavelength: ArrayLike,
+    body: ArrayLike,
+    flakes: ArrayLike,
     *,
     nearest: bool = False,
 ) -> Flakes:

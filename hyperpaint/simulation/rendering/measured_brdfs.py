@@ -9,10 +9,9 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import Floats, SchemaError
+from hyperpaint.base import ArrayLike, Floats, SchemaError
 
 from .materials import (
     ALPHAS,
@@ -48,11 +47,11 @@ def _cumulative(values: Floats, place: Floats) -> Floats:
 
 def measured_brdf(
     brdf: xr.Dataset,
-    light: npt.ArrayLike,
-    view: npt.ArrayLike,
-    azimuth: npt.ArrayLike = 180.0,
+    light: ArrayLike,
+    view: ArrayLike,
+    azimuth: ArrayLike = 180.0,
     *,
-    light_azimuth: npt.ArrayLike = 0.0,
+    light_azimuth: ArrayLike = 0.0,
 ) -> xr.DataArray:
     r"""Return the BRDF of a measured material in several directions.
 

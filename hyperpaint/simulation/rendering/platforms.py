@@ -24,14 +24,16 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base import (
+    ArrayLike,
     Fact,
     Floats,
+    Ints,
     Problems,
     SchemaError,
     Spelling,
+    Times,
     as_argument,
     check_values,
     takes_quantities,
@@ -129,7 +131,7 @@ class Platform:
     rotation: Floats
     column_edges: Floats
     along_edges: Floats
-    time: NDArray[np.int64]
+    time: Ints
     exposure_time: float = 0.0
     start: np.datetime64 = DEFAULT_START
 
@@ -220,7 +222,7 @@ class Platform:
         return np.asarray(angles)
 
     @property
-    def utc(self) -> NDArray[np.datetime64]:
+    def utc(self) -> Times:
         # UTC at mid exposure, shape (line,), datetime64[ns].
         return np.asarray(self.start + self.time.astype("timedelta64[ns]"))
 
@@ -602,9 +604,8 @@ def pushbroom(
         "heading": heading, "exposure_time": exposure_time, "frame_period": frame_period, "wobble": wobble,
         "sway": sway, "seed": seed, "start_time": start_time,
     }  # fmt: skip
-    problems = Problems("the flight cannot be flown", SchemaError)
-    note_pushbroom_faults(values, problems)
-    problems.raise_if_any()
+    with Problems("the flight cannot be flown", SchemaError) as problems:
+        note_pushbroom_faults(values, problems)
     angle = _pixel_angle(values)
     if speed is None:
         speed = (angle * altitude if line_spacing is None else line_spacing) / frame_period
@@ -867,8 +868,15 @@ def platform_from_poses(
     turned = Rotation.from_euler("ZYX", angles, degrees=True)
     steps = turned[:-1].inv() * turned[1:]
     where = int(np.argmax(steps.magnitude()))
-    turn_fault = f"the platform turns by over 90 degrees between poses {where} and {where + 1}"
-    note_faults(problems, (steps.magnitude()[where] > np.pi / 2, turn_fault, "", "turn-too-large"))
+    note_faults(
+        problems,
+        (
+            steps.magnitude()[where] > np.pi / 2,
+            f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
+            "",
+            "turn-too-large",
+        ),
+    )
     check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
