@@ -21,9 +21,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyperpaint.base import FormatError, SchemaError, is_number, needs_extra, read_limited
+from hyperpaint.base import (
+    Floats,
+    FormatError,
+    Ints,
+    SchemaError,
+    is_number,
+    needs_extra,
+    read_limited,
+)
 
 from .materials import Material
 from .scene import Instance, Mesh, Scene, has_area, smoothed, warn_of_dropped
@@ -41,9 +48,9 @@ _OBJ_NUMBERS: dict[str, tuple[Callable[[str], Any], int, str]] = {
 
 # Triangles of a file
 class RawTriangles(NamedTuple):
-    vertices: NDArray[np.float64]  # (vertex, 3) float64: positions in the units and axes of the file
-    faces: NDArray[np.int64]  # (face, 3) int64: vertices of every triangle, not checked yet
-    face_group: NDArray[np.int64]  # (face,) int64: number of the group of every triangle
+    vertices: Floats  # (vertex, 3) float64: positions in the units and axes of the file
+    faces: Ints  # (face, 3) int64: vertices of every triangle, not checked yet
+    face_group: Ints  # (face,) int64: number of the group of every triangle
     # names of the material and of the object of every group; empty if missing
     groups: tuple[tuple[str, ...], ...]
 
@@ -94,8 +101,11 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
                 numbers = []
             is_vertex = keyword == "v" or all(0 < abs(index) < _MAX_VERTEX_INDEX for index in numbers)
             if len(numbers) < least or not is_vertex:
-                found = f"{where}: line {number} is {' '.join(words)[:60]!r}"
-                raise FormatError(found, expected=expected, code="number-unreadable")
+                raise FormatError(
+                    f"{where}: line {number} is {' '.join(words)[:60]!r}",
+                    expected=expected,
+                    code="number-unreadable",
+                )
         if keyword == "v":
             coordinates.extend(numbers)
         elif keyword == "f":
@@ -199,8 +209,12 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
         mend="export it as one .glb",
         code="buffer-external",
     )
-    found = f"{where}: it has more than one buffer"
-    _require(len(buffers) <= 1, found, expected="the buffer inside the file", code="buffer-number")
+    _require(
+        len(buffers) <= 1,
+        f"{where}: it has more than one buffer",
+        expected="the buffer inside the file",
+        code="buffer-number",
+    )
     # buffer views must be within the binary chunk
     views: list[dict[str, int]] = []
     for view in entries(header, "bufferViews"):
@@ -315,8 +329,12 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
         code="json-unreadable",
     ):
         header = json.loads(data[20 : 20 + size])
-    found = f"{where}: its JSON chunk holds {type(header).__name__}"
-    _require(isinstance(header, dict), found, expected="an object", code="type-wrong")
+    _require(
+        isinstance(header, dict),
+        f"{where}: its JSON chunk holds {type(header).__name__}",
+        expected="an object",
+        code="type-wrong",
+    )
     if length < 28 + size:
         return header, b""
     count, kind = struct.unpack("<II", data[20 + size : 28 + size])

@@ -31,10 +31,8 @@ from typing import Any, NamedTuple, cast
 import dask
 import dask.array as da
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 from numcodecs.blosc import SHUFFLE, Blosc
-from numpy.typing import NDArray
 
 from hyperpaint.base import (
     ALONG_TRACK,
@@ -52,6 +50,7 @@ from hyperpaint.base import (
     SUN,
     VARIABLES,
     Array,
+    ArrayLike,
     Bools,
     Floats,
     Floats32,
@@ -1016,7 +1015,7 @@ def relight(
     paints: Mapping[str, Any] | xr.Dataset | None = None,
     atmosphere: Atmosphere | str = "noon",
     spectra: Mapping[str, Any] | xr.Dataset | None = None,
-    variation: npt.ArrayLike | BrokenClouds | None = None,
+    variation: ArrayLike | BrokenClouds | None = None,
     truth: bool = True,
     clip: bool = False,
     hold_edges: bool | None = None,
@@ -1124,23 +1123,22 @@ def relight(
     )
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
-    problems = Problems("the traced scene cannot be relit", SchemaError)
-    min_nm = camera.wavelength[0] + camera.nodes.min() - _COVERED * camera.fwhm[0]
-    max_nm = camera.wavelength[-1] + camera.nodes.max() + _COVERED * camera.fwhm[-1]
-    first_nm, last_nm = sky.wavelength[[0, -1]]
-    problems.add_if(
-        first_nm > min_nm or last_nm < max_nm,
-        f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
-        expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
-        code="atmosphere-coverage",
-    )
-    if camera.wavelength_shift is not None and camera.wavelength_shift.size != columns:
-        problems.add(
-            f"wavelength_shift has {camera.wavelength_shift.size} columns",
-            expected=f"{columns}, as the traced scene",
-            code="length-mismatch",
+    with Problems("the traced scene cannot be relit", SchemaError) as problems:
+        min_nm = camera.wavelength[0] + camera.nodes.min() - _COVERED * camera.fwhm[0]
+        max_nm = camera.wavelength[-1] + camera.nodes.max() + _COVERED * camera.fwhm[-1]
+        first_nm, last_nm = sky.wavelength[[0, -1]]
+        problems.add_if(
+            first_nm > min_nm or last_nm < max_nm,
+            f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
+            expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
+            code="atmosphere-coverage",
         )
-    problems.raise_if_any()
+        if camera.wavelength_shift is not None and camera.wavelength_shift.size != columns:
+            problems.add(
+                f"wavelength_shift has {camera.wavelength_shift.size} columns",
+                expected=f"{columns}, as the traced scene",
+                code="length-mismatch",
+            )
     if variation is not None and not isinstance(variation, BrokenClouds):
         variation = np.ascontiguousarray(variation, np.float64)
         SchemaError.raise_if(
@@ -1177,9 +1175,60 @@ def relight(
         line["shadow"] = label(
             (1.0 - traced["sun_visibility"].isel({SUN: sun}, drop=True)).astype(np.float32), "shadow"
         )
-    series = _irradiance_record(
-        traced, sky, float(np.cos(np.radians(settings.suns[sun][0]))), camera, variation
+    # ``irradiance`` and related variables of a spectrometer beside the scene, for the wavelengths of the
+    # bands, from before until after the flight. With light that varies between lines, (2, line), the record
+    # is lazy.
+    # wavelengths of the channels [nm]
+    wavelength, reach = sky.wavelength, _REACH * _FWHM_NM
+    lower_nm = max(wavelength[0], camera.limits[0] - 4 * _FWHM_NM)
+    upper_nm = min(wavelength[-1], camera.limits[1] + 4 * _FWHM_NM)
+    centres = np.arange(np.ceil(lower_nm / _STEP_NM), np.floor(upper_nm / _STEP_NM) + 1) * _STEP_NM
+    # at the ends of the spectra a channel uses the available part of its line shape
+    grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
+    grid = (
+        np.arange(np.ceil(grid_start / _RECORD.grid_step_nm), np.floor(grid_end / _RECORD.grid_step_nm) + 1)
+        * _RECORD.grid_step_nm
     )
+    # direct and diffuse irradiance, (2, channel)
+    direct = sky.sun * float(np.cos(np.radians(settings.suns[sun][0])))
+    curves = np.stack([cell_means(wavelength, curve, grid) for curve in (direct, sky.sky)])
+    channel_spectra = convolve_gaussian(curves, grid, centres, _FWHM_NM)
+    # times before and after the flight; with varying light also times during the flight
+    try:
+        start, end = (np.datetime64(traced.attrs[f"time_coverage_{name}"], "ns") for name in ("start", "end"))
+    except (KeyError, ValueError, TypeError) as error:
+        raise SchemaError(
+            f"not a traced dataset: time_coverage_start or _end: {error}",
+            mend="pass a dataset from hyperpaint.simulation.trace",
+            code="metadata-damaged",
+        ) from error
+    during = np.empty(0, "datetime64[ns]")
+    moving_lines = 0 if variation is None else traced.sizes[ALONG_TRACK]
+    if moving_lines:
+        span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
+        steps = np.linspace(0, span, min(max(moving_lines, 2), _RECORD.max_times)).astype(np.int64)
+        during = start + np.unique(steps).astype("timedelta64[ns]")
+    times = np.concatenate([[start - _MARGIN], during, [end + _MARGIN]]).astype("datetime64[ns]")
+    values: Any = np.broadcast_to(channel_spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
+    if isinstance(variation, BrokenClouds):
+        seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
+        values = (variation.factors(*variation.station, seconds).T @ channel_spectra).astype(np.float32)
+    elif variation is not None:
+        lazy_values = dask.delayed(_irradiance_at_times, pure=True)(
+            traced["time"].data, times, variation, channel_spectra
+        )
+        values = da.from_delayed(lazy_values, (times.size, centres.size), dtype=dtype_of("irradiance"))
+    arrays = {
+        "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
+        "irradiance_fwhm": ((), np.float64(_FWHM_NM)),
+        "irradiance_max_gap": ((), np.float64(2.5 * (np.diff(times).max() / np.timedelta64(1, "s")))),
+        "irradiance_clock_uncertainty": ((), np.float64(0.0)),
+        IRRADIANCE_TIME: (IRRADIANCE_TIME, times),
+        IRRADIANCE_WAVELENGTH: (IRRADIANCE_WAVELENGTH, centres),
+    }
+    labelled = {name: (*value, VARIABLES[name].attrs) for name, value in arrays.items()}
+    coords = {name: labelled.pop(name) for name in (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)}
+    series = xr.Dataset(labelled, coords, {"irradiance_srf_shape": "gaussian"})
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -1234,8 +1283,15 @@ def _lazy_cubes(
         # population member of every pixel as row of a table, and the table
         layers = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PIXEL_LAYERS]
         inputs = [part for layer in layers for part in (layer, "lx")]
-        options = {"grain": populations.grain, **chosen, "meta": np.empty((0, 0), np.int32)}
-        rows = da.blockwise(member_rows, "lx", *inputs, **options, dtype=np.int32)
+        rows = da.blockwise(
+            member_rows,
+            "lx",
+            *inputs,
+            grain=populations.grain,
+            **chosen,
+            meta=np.empty((0, 0), np.int32),
+            dtype=np.int32,
+        )
         textured = (*lit, rows, "lx", dask.delayed(populations, pure=True, traverse=False), None)
 
     def cube(method: Callable[..., Array], dims: str, *arguments: Any, **axes: int) -> da.Array:
@@ -1288,71 +1344,7 @@ def _dataset(
     return line
 
 
-def _irradiance_record(
-    traced: xr.Dataset,
-    atmosphere: Atmosphere,
-    sun_cosine: float,
-    bands: BandSet,
-    variation: Floats | BrokenClouds | None,
-) -> xr.Dataset:
-    # ``irradiance`` and related variables of a spectrometer beside the scene, for the wavelengths of the
-    # bands, from before until after the flight. With light that varies between lines, (2, line), the record
-    # is lazy.
-    # wavelengths of the channels [nm]
-    wavelength, reach = atmosphere.wavelength, _REACH * _FWHM_NM
-    min_nm = max(wavelength[0], bands.limits[0] - 4 * _FWHM_NM)
-    max_nm = min(wavelength[-1], bands.limits[1] + 4 * _FWHM_NM)
-    centres = np.arange(np.ceil(min_nm / _STEP_NM), np.floor(max_nm / _STEP_NM) + 1) * _STEP_NM
-    # at the ends of the spectra a channel uses the available part of its line shape
-    grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
-    grid = (
-        np.arange(np.ceil(grid_start / _RECORD.grid_step_nm), np.floor(grid_end / _RECORD.grid_step_nm) + 1)
-        * _RECORD.grid_step_nm
-    )
-    # direct and diffuse irradiance, (2, channel)
-    curves = np.stack(
-        [cell_means(wavelength, curve, grid) for curve in ((atmosphere.sun * sun_cosine, atmosphere.sky))]
-    )
-    spectra = convolve_gaussian(curves, grid, centres, _FWHM_NM)
-    # times before and after the flight; with varying light also times during the flight
-    try:
-        start, end = (np.datetime64(traced.attrs[f"time_coverage_{name}"], "ns") for name in ("start", "end"))
-    except (KeyError, ValueError, TypeError) as error:
-        raise SchemaError(
-            f"not a traced dataset: time_coverage_start or _end: {error}",
-            mend="pass a dataset from hyperpaint.simulation.trace",
-            code="metadata-damaged",
-        ) from error
-    during = np.empty(0, "datetime64[ns]")
-    lines = 0 if variation is None else traced.sizes[ALONG_TRACK]
-    if lines:
-        span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
-        steps = np.linspace(0, span, min(max(lines, 2), _RECORD.max_times)).astype(np.int64)
-        during = start + np.unique(steps).astype("timedelta64[ns]")
-    times = np.concatenate([[start - _MARGIN], during, [end + _MARGIN]]).astype("datetime64[ns]")
-    values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
-    if isinstance(variation, BrokenClouds):
-        seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
-        values = (variation.factors(*variation.station, seconds).T @ spectra).astype(np.float32)
-    elif variation is not None:
-        record = dask.delayed(_irradiance_at_times, pure=True)(traced["time"].data, times, variation, spectra)
-        values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
-    variables = {
-        "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
-        "irradiance_fwhm": ((), np.float64(_FWHM_NM)),
-        "irradiance_max_gap": ((), np.float64(2.5 * (np.diff(times).max() / np.timedelta64(1, "s")))),
-        "irradiance_clock_uncertainty": ((), np.float64(0.0)),
-        IRRADIANCE_TIME: (IRRADIANCE_TIME, times),
-        IRRADIANCE_WAVELENGTH: (IRRADIANCE_WAVELENGTH, centres),
-    }
-    labelled = {name: (*value, VARIABLES[name].attrs) for name, value in variables.items()}
-    coords = {name: labelled.pop(name) for name in (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)}
-    return xr.Dataset(labelled, coords, {"irradiance_srf_shape": "gaussian"})
-
-
-def _irradiance_at_times(
-    line_times: Any, times: Any, variation: Floats, spectra: Floats
-) -> NDArray[np.float32]:
+def _irradiance_at_times(line_times: Any, times: Any, variation: Floats, spectra: Floats) -> Floats32:
     line_ns = np.asarray(line_times).astype("datetime64[ns]").astype(np.int64)
     order = np.argsort(line_ns, kind="stable")
     relative_ns = times.astype(np.int64) - line_ns[order[0]]
@@ -1601,7 +1593,7 @@ class ProductTable:
         self.__dict__.update(state)
         self._start_empty()
 
-    def rows(self, codes: Ints) -> NDArray[np.float32]:
+    def rows(self, codes: Ints) -> Floats32:
         # Return the products of paths, shape (node, path, band), float32.
         #
         # ``codes`` (path,): Distinct codes, without empty slots.
@@ -1649,9 +1641,9 @@ class ProductTable:
 
     def mix(
         self,
-        weight: NDArray[np.float32],
+        weight: Floats32,
         codes: Ints,
-        out: NDArray[np.float32],
+        out: Floats32,
         texture: Texture | None = None,
     ) -> None:
         # write the sum of weight x product over the paths of every pixel, with the smile of the columns
