@@ -164,64 +164,69 @@ class Scene:
     face_part: NDArray[np.int8] = field(default_factory=lambda: np.zeros(0, np.int8))
 
     def __post_init__(self) -> None:
-        problems = Problems(f"scene {self.name!r} cannot be used", SchemaError)
-        # form and type of every array; empty ones become zeros
-        arrays: dict[str, NDArray[Any]] = {}
-        for name, dtype, like, columns, _ in _ARRAYS:
-            array = np.asarray(getattr(self, name))
-            shape = (len(arrays[like]) if like else None, *columns)
-            is_whole = np.issubdtype(dtype, np.integer)
-            arrays[name] = np.zeros((shape[0] or 0, *columns), dtype)
-            if array.size == 0 and like:
-                continue
-            if array.ndim != len(shape) or any(
-                length not in (None, found) for length, found in zip(shape, array.shape, strict=True)
-            ):
-                text = " x ".join("any" if length is None else str(length) for length in shape)
-                problems.add(f"{name} has shape {array.shape}", expected=text, code="dims-wrong")
-            elif array.dtype.kind not in ("iu" if is_whole else "iuf"):
-                problems.add(
-                    f"{name} is {array.dtype}",
-                    expected=f"numbers that fit {np.dtype(dtype)}",
-                    code="type-wrong",
+        with Problems(f"scene {self.name!r} cannot be used", SchemaError) as problems:
+            # form and type of every array; empty ones become zeros
+            arrays: dict[str, NDArray[Any]] = {}
+            for name, dtype, like, columns, _ in _ARRAYS:
+                array = np.asarray(getattr(self, name))
+                shape = (len(arrays[like]) if like else None, *columns)
+                is_whole = np.issubdtype(dtype, np.integer)
+                arrays[name] = np.zeros((shape[0] or 0, *columns), dtype)
+                if array.size == 0 and like:
+                    continue
+                if array.ndim != len(shape) or any(
+                    length not in (None, found) for length, found in zip(shape, array.shape, strict=True)
+                ):
+                    text = " x ".join("any" if length is None else str(length) for length in shape)
+                    problems.add(f"{name} has shape {array.shape}", expected=text, code="dims-wrong")
+                elif array.dtype.kind not in ("iu" if is_whole else "iuf"):
+                    problems.add(
+                        f"{name} is {array.dtype}",
+                        expected=f"numbers that fit {np.dtype(dtype)}",
+                        code="type-wrong",
+                    )
+                else:  # integers are narrowed after their range is checked
+                    arrays[name] = array.astype(np.int64 if is_whole else np.float64)
+                if name == "faces":
+                    problems.raise_if_any()  # the form of the other arrays follows from vertices and faces
+            # values: finite, or numbers of existing vertices, materials, instances and parts
+            counts = {
+                "vertices": len(arrays["vertices"]),
+                "PARTS": len(PARTS),
+                "materials": len(self.materials),
+                "instances": len(self.instances),
+            }
+            for name, _, _, _, numbered in _ARRAYS:
+                values = arrays[name]
+                bad: Any = [] if numbered else np.flatnonzero(~np.isfinite(values).all(axis=1))
+                if len(bad):
+                    numbers = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
+                    problems.add(
+                        f"{name} {numbers} ({len(bad)} of {len(values)}) are not finite",
+                        mend="correct or remove them",
+                        code="not-finite",
+                    )
+                if numbered and values.size and (values.min() < 0 or values.max() >= counts[numbered]):
+                    problems.add(
+                        f"{name} has numbers from {values.min()} to {values.max()}",
+                        expected=f"numbers of {counts[numbered]} {numbered}, counted from 0",
+                        code="index-out-of-range",
+                    )
+            for kind, items in (("material", self.materials), ("instance", self.instances)):
+                names = Counter(item.name for item in items)
+                if "" in names:
+                    place = [item.name for item in items].index("")
+                    problems.add(f"{kind} {place} has an empty name", code="name-empty")
+                problems.add_if(
+                    duplicates := sorted(name for name, count in names.items() if count > 1),
+                    f"several {kind}s are named {', '.join(duplicates[:5])}",
+                    mend="rename them",
+                    code="name-duplicate",
                 )
-            else:  # integers are narrowed after their range is checked
-                arrays[name] = array.astype(np.int64 if is_whole else np.float64)
-            if name == "faces":
-                problems.raise_if_any()  # the form of the other arrays follows from vertices and faces
-        # values: finite, or numbers of existing vertices, materials, instances and parts
-        counts = {"vertices": len(arrays["vertices"]), "PARTS": len(PARTS)}
-        counts |= {"materials": len(self.materials), "instances": len(self.instances)}
-        for name, _, _, _, numbered in _ARRAYS:
-            values = arrays[name]
-            bad: Any = [] if numbered else np.flatnonzero(~np.isfinite(values).all(axis=1))
-            if len(bad):
-                numbers = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
-                problems.add(
-                    f"{name} {numbers} ({len(bad)} of {len(values)}) are not finite",
-                    mend="correct or remove them",
-                    code="not-finite",
+            for instance in self.instances:
+                one_of(
+                    instance.kind, INSTANCE_KINDS, f"kind of instance {instance.name!r}", problems=problems
                 )
-            if numbered and values.size and (values.min() < 0 or values.max() >= counts[numbered]):
-                problems.add(
-                    f"{name} has numbers from {values.min()} to {values.max()}",
-                    expected=f"numbers of {counts[numbered]} {numbered}, counted from 0",
-                    code="index-out-of-range",
-                )
-        for kind, items in (("material", self.materials), ("instance", self.instances)):
-            names = Counter(item.name for item in items)
-            if "" in names:
-                place = [item.name for item in items].index("")
-                problems.add(f"{kind} {place} has an empty name", code="name-empty")
-            problems.add_if(
-                duplicates := sorted(name for name, count in names.items() if count > 1),
-                f"several {kind}s are named {', '.join(duplicates[:5])}",
-                mend="rename them",
-                code="name-duplicate",
-            )
-        for instance in self.instances:
-            one_of(instance.kind, INSTANCE_KINDS, f"kind of instance {instance.name!r}", problems=problems)
-        problems.raise_if_any()
         keeps_area = has_area(arrays["vertices"], arrays["faces"])
         warn_of_dropped(self.name, keeps_area)
         for name, dtype, like, *_ in _ARRAYS:
@@ -825,26 +830,27 @@ class TraceSettings:
                 code="sun-unreadable",
             ) from None
         object.__setattr__(self, "suns", directions)
-        problems = Problems("the scene cannot be traced", SchemaError)
-        problems.add_if(
-            not 1 <= len(self.suns) <= MAX_SUNS,
-            f"{len(self.suns)} suns",
-            expected=f"1 to {MAX_SUNS}",
-            code="sun-number",
-        )
-        for number, sun in enumerate(self.suns):
-            if len(sun) != 2 or not all(np.isfinite(sun)):
-                problems.add(
-                    f"sun {number} is {sun!r}", expected="(zenith, azimuth) in degrees", code="sun-unreadable"
-                )
-            elif not 0.0 <= sun[0] < 90.0:
-                problems.add(
-                    f"sun {number} has zenith {sun[0]:g}",
-                    expected="0 to below 90 degrees",
-                    code="value-out-of-range",
-                )
-        check_fields(self, problems)
-        problems.raise_if_any()
+        with Problems("the scene cannot be traced", SchemaError) as problems:
+            problems.add_if(
+                not 1 <= len(self.suns) <= MAX_SUNS,
+                f"{len(self.suns)} suns",
+                expected=f"1 to {MAX_SUNS}",
+                code="sun-number",
+            )
+            for number, sun in enumerate(self.suns):
+                if len(sun) != 2 or not all(np.isfinite(sun)):
+                    problems.add(
+                        f"sun {number} is {sun!r}",
+                        expected="(zenith, azimuth) in degrees",
+                        code="sun-unreadable",
+                    )
+                elif not 0.0 <= sun[0] < 90.0:
+                    problems.add(
+                        f"sun {number} has zenith {sun[0]:g}",
+                        expected="0 to below 90 degrees",
+                        code="value-out-of-range",
+                    )
+            check_fields(self, problems)
 
     @property
     def slot_count(self) -> int:
@@ -931,29 +937,28 @@ class SceneRecord:
             mend="trace the scene again",
             code="trace-outdated",
         )
-        problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
-        texts: dict[str, list[Any]] = {}
-        for name in ("materials", "instances", "factors", "suns"):
-            try:
-                texts[name] = json.loads(attrs[name])
-            except KeyError:
-                problems.add(f"attribute {name!r} is missing", code="metadata-missing")
-            except (TypeError, ValueError, RecursionError):
-                problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
-            else:
+        with Problems("not a dataset from hyperpaint.simulation.trace", SchemaError) as problems:
+            texts: dict[str, list[Any]] = {}
+            for name in ("materials", "instances", "factors", "suns"):
+                try:
+                    texts[name] = json.loads(attrs[name])
+                except KeyError:
+                    problems.add(f"attribute {name!r} is missing", code="metadata-missing")
+                except (TypeError, ValueError, RecursionError):
+                    problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
+                else:
+                    problems.add_if(
+                        not isinstance(texts[name], list) or not texts[name],
+                        f"attribute {name!r} is not a list with entries",
+                        code="metadata-damaged",
+                    )
+            for name in ("samples", "depth", "seed", "overcast", "clear"):
                 problems.add_if(
-                    not isinstance(texts[name], list) or not texts[name],
-                    f"attribute {name!r} is not a list with entries",
+                    not isinstance(attrs.get(name), int | np.integer),
+                    f"attribute {name!r} is {attrs.get(name)!r}",
+                    expected="a whole number",
                     code="metadata-damaged",
                 )
-        for name in ("samples", "depth", "seed", "overcast", "clear"):
-            problems.add_if(
-                not isinstance(attrs.get(name), int | np.integer),
-                f"attribute {name!r} is {attrs.get(name)!r}",
-                expected="a whole number",
-                code="metadata-damaged",
-            )
-        problems.raise_if_any()
         with SchemaError.instead_of(
             (TypeError, KeyError, IndexError, AttributeError, ValueError),
             "not a dataset from hyperpaint.simulation.trace: its attributes are damaged ($whole)",

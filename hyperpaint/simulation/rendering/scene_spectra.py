@@ -336,7 +336,6 @@ def _grass(wavelength: Floats) -> Floats:
     return np.asarray(np.exp(0.22 * level) * blades)
 
 
-_SLABS = Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
 _STONES = Octaves((3.0, 1.0, 0.35, 0.12, 0.04, 0.012), (0.14, 0.08, 0.06, 0.07, 0.15, 0.50))
 
 #: Weathered surfaces by the names of their spectra.
