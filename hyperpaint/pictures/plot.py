@@ -148,35 +148,34 @@ def spectrum(
     dataset = rename_to_roles(dataset)
     # a flight line may have the dim signature too, for variables such as the paint of a pixel
     is_library = "reflectance" in dataset and dataset["reflectance"].dims == (SIGNATURE, BAND)
-    problems = Problems("spectra cannot be drawn", SchemaError)
-    one_of(spread, SPREADS, "spread", problems=problems)
-    problems.extend(
-        Problem(found, mend=mend, code=code)
-        for is_wrong, found, mend, code in (
-            (
-                is_library and (regions is not None or pixels is not None),
-                "a paint library has neither regions nor pixels",
-                "pass paints=, or a flight line",
-                "option-conflict",
-            ),
-            (
-                not is_library and paints is not None,
-                "paints= needs a paint library",
-                "pass regions= or pixels=",
-                "option-conflict",
-            ),
-            (
-                not is_library and (regions is None) == (pixels is None),
-                "a flight line needs either regions or pixels=(along_track, cross_track)",
-                "",
-                "argument-missing",
-            ),
+    with Problems("spectra cannot be drawn", SchemaError) as problems:
+        one_of(spread, SPREADS, "spread", problems=problems)
+        problems.extend(
+            Problem(found, mend=mend, code=code)
+            for is_wrong, found, mend, code in (
+                (
+                    is_library and (regions is not None or pixels is not None),
+                    "a paint library has neither regions nor pixels",
+                    "pass paints=, or a flight line",
+                    "option-conflict",
+                ),
+                (
+                    not is_library and paints is not None,
+                    "paints= needs a paint library",
+                    "pass regions= or pixels=",
+                    "option-conflict",
+                ),
+                (
+                    not is_library and (regions is None) == (pixels is None),
+                    "a flight line needs either regions or pixels=(along_track, cross_track)",
+                    "",
+                    "argument-missing",
+                ),
+            )
+            if is_wrong
         )
-        if is_wrong
-    )
-    has_pixels = not is_library and pixels is not None
-    places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
-    problems.raise_if_any()
+        has_pixels = not is_library and pixels is not None
+        places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
     axes = axes_or_new(axes, "a picture of spectra", figsize=(width, max(0.56 * width, 4.5)))
     shown, name = (dataset, "reflectance") if is_library else with_shown_cube(dataset)
     if pixels is not None:
@@ -188,15 +187,41 @@ def spectrum(
         u = np.sqrt(sum(spectra[u_name].astype(np.float64) ** 2 for u_name in names)) if names else None
         draw_pixels([axes], shown, {name: spectra[name]}, values.get("quality"), places, u)
     elif name != "reflectance":
-        library = _region_medians(shown, shown[name], regions)
+        cube = shown[name]
+        # median and spread of the cube over all pixels of regions, in the form of a paint library
+        outlines = regions_from(regions)
+        summaries, counts = [], []
+        for region, (along, across) in zip(outlines, pixels_of(outlines, shown), strict=True):
+            SchemaError.raise_if(
+                not along.size,
+                f"region {region.name!r} holds no pixel of the line",
+                mend="draw it larger, or elsewhere",
+                code="region-empty",
+            )
+            read, _ = gather({"values": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
+            summaries.append(summarise(read["values"], "median"))
+            counts.append(along.size)
+        dims = {
+            key: (SIGNATURE, *((QUANTILE,) if summary.ndim == 2 else ()), BAND)
+            for key, summary in summaries[0].items()
+        }
+        library = xr.Dataset(
+            {key: (dims[key], np.stack([summary[key] for summary in summaries])) for key in dims},
+            {
+                SIGNATURE: list(outlines.names),
+                QUANTILE: list(QUANTILES),
+                "n": (SIGNATURE, counts),
+                **{key: shown[key].variable for key in ("wavelength", "good") if key in shown.variables},
+            },
+        )
         colours = _curve_colours(library["reflectance"].values, library["wavelength"].values, name)
         _draw_paints(axes, library, colours, None, spread)
     else:
         if not is_library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
         _draw_paints(axes, dataset, paint_colours(dataset), paints, spread)
-    axes.set(xlabel="wavelength [nm]", ylabel=quantity_label(shown[name]))
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    bottom = min(0.0, axes.get_ylim()[0])
+    axes.set(xlabel="wavelength [nm]", ylabel=quantity_label(shown[name]), ylim=(bottom, None))
     legend_below(axes)
     return save_figure(axes.figure, path)
 
@@ -233,30 +258,6 @@ def quantity_label(cube: xr.DataArray) -> str:
     unit = {"reflectance": "1", "counts": "count"}.get(str(cube.name), cube.attrs.get("units", ""))
     powers = unit if unit == "1" else re.sub(r"(-?\d+)", r"$^{\1}$", label_for(unit))
     return f"{label_for(name)} [{powers}]" if unit else label_for(name)
-
-
-def _region_medians(dataset: xr.Dataset, cube: xr.DataArray, regions: Any) -> xr.Dataset:
-    # Return median and spread of a cube over all pixels of regions, in the form of a paint library
-    outlines = regions_from(regions)
-    summaries, counts = [], []
-    for region, (along, across) in zip(outlines, pixels_of(outlines, dataset), strict=True):
-        SchemaError.raise_if(
-            not along.size,
-            f"region {region.name!r} holds no pixel of the line",
-            mend="draw it larger, or elsewhere",
-            code="region-empty",
-        )
-        values, _ = gather({"values": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
-        summaries.append(summarise(values["values"], "median"))
-        counts.append(along.size)
-    dims = {
-        name: (SIGNATURE, *((QUANTILE,) if values.ndim == 2 else ()), BAND)
-        for name, values in summaries[0].items()
-    }
-    variables = {name: (dims[name], np.stack([summary[name] for summary in summaries])) for name in dims}
-    axes = {name: dataset[name].variable for name in ("wavelength", "good") if name in dataset.variables}
-    coords = {SIGNATURE: list(outlines.names), QUANTILE: list(QUANTILES), "n": (SIGNATURE, counts), **axes}
-    return xr.Dataset(variables, coords)
 
 
 def _curve_colours(values: Array, wavelength: Array, name: str) -> Array:
@@ -301,21 +302,20 @@ def _draw_paints(
 ) -> None:
     names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
-    problems = Problems("paints cannot be drawn", SchemaError)
-    problems.add_if(
-        unknown := [name for name in chosen if name not in names],
-        f"no paint {', '.join(map(repr, unknown))}",
-        expected=", ".join(names),
-        code="paint-unknown",
-    )
-    problems.add_if(
-        len(chosen) > MAX_CURVES,
-        f"{len(chosen)} curves",
-        expected=f"at most {MAX_CURVES}",
-        mend="pass fewer names as paints, or see library_overview",
-        code="curve-number",
-    )
-    problems.raise_if_any()
+    with Problems("paints cannot be drawn", SchemaError) as problems:
+        problems.add_if(
+            unknown := [name for name in chosen if name not in names],
+            f"no paint {', '.join(map(repr, unknown))}",
+            expected=", ".join(names),
+            code="paint-unknown",
+        )
+        problems.add_if(
+            len(chosen) > MAX_CURVES,
+            f"{len(chosen)} curves",
+            expected=f"at most {MAX_CURVES}",
+            mend="pass fewer names as paints, or see library_overview",
+            code="curve-number",
+        )
     indices = [names.index(name) for name in chosen]
     for name, index, style in zip(chosen, indices, styles_of(colours[indices]), strict=True):
         paint = library.isel({SIGNATURE: index})
@@ -461,9 +461,8 @@ def library_overview(
     'wavelength [nm]'
     """
     paints, faults = find_usable(paints)
-    problems = Problems("a paint library cannot be drawn", SchemaError)
-    problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
-    problems.raise_if_any()
+    with Problems("a paint library cannot be drawn", SchemaError) as problems:
+        problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
     SchemaError.raise_if(
         not (count := paints.sizes[SIGNATURE]), "the library has no paint to draw", code="library-empty"
@@ -471,8 +470,11 @@ def library_overview(
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
     rows = -(-shown_count // columns)
-    size = (_CURVES_INCH[0] * columns, _CURVES_INCH[1] * rows + 0.4)
-    figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
+    figure = new_figure(
+        "a picture of a paint library",
+        figsize=(_CURVES_INCH[0] * columns, _CURVES_INCH[1] * rows + 0.4),
+        layout="constrained",
+    )
     from matplotlib.patches import Rectangle
 
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -486,12 +488,21 @@ def library_overview(
             draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
             values = np.where(is_good, paint["reflectance"].values, np.nan)
             draw_curve(axes, wavelength, values, styles_of(colour[np.newaxis])[0])
-            title = label_for(paint[SIGNATURE].item())
-            title += f"  n = {int(paint['n'])}" if "n" in paint else ""
+            title = label_for(paint[SIGNATURE].item()) + (f"  n = {int(paint['n'])}" if "n" in paint else "")
             axes.set_title(title, fontsize="small", loc="left", pad=11 if has_colour else None)
             if has_colour:
-                style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
-                axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
+                axes.add_patch(
+                    Rectangle(
+                        (0.0, 1.0),
+                        1.0,
+                        0.05,
+                        transform=axes.transAxes,
+                        facecolor=colour.tolist(),
+                        edgecolor="0.5",
+                        lw=0.5,
+                        clip_on=False,
+                    )
+                )
             axes.tick_params(labelsize="small")
         else:
             axes.set_axis_off()
@@ -609,7 +620,9 @@ def rgb(
             return picture_of_store
         if has_cube and step:
             subsample = dataset.isel({ALONG_TRACK: slice(None, None, step)})
-            return rgb(subsample, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
+            return rgb(subsample, stretch=stretch).assign_attrs(
+                level=f"cube, every {step}. line and 1. column"
+            )
     dataset, shown_name = with_shown_cube(dataset)
     cube = dataset[shown_name]
     wavelength = require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
@@ -646,8 +659,8 @@ def rgb(
     )
     picture = picture.transpose(*dims, "rgb").rename("true_colour")
     axes = {name: (name, cube[name].values, cube[name].attrs) for name in renamed_dims.values()}
-    picture = picture.drop_vars(list(axes)).rename(renamed_dims).assign_coords(axes)
-    picture = picture.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
+    coords = {**axes, "rgb": ("rgb", ["red", "green", "blue"])}
+    picture = picture.drop_vars(list(axes)).rename(renamed_dims).assign_coords(coords)
     titles = {
         "reflectance": "True colour",
         "radiance": "Colours of radiance",
@@ -657,10 +670,8 @@ def rgb(
     picture.attrs = {
         "long_name": f"{titles[shown_name]} (sRGB)",
         "stretch": f"{stretch[0]:g} to {stretch[1]:g} %",
+        **{key: value for key, value in (cube.attrs | cube.encoding).items() if key == "grid_mapping"},
     }
-    for entries in (cube.attrs, cube.encoding):
-        if "grid_mapping" in entries:
-            picture.attrs["grid_mapping"] = entries["grid_mapping"]
     return picture
 
 
@@ -689,9 +700,8 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
     # a crop keeps the overview of its complete line, whose shape differs
     sizes = [dataset.sizes.get(dim, 0) for dim in (ALONG_TRACK, CROSS_TRACK)]
     shape = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
-    if min(steps) < 1 or any(a != b for a, b in zip(shape, overview.shape, strict=False)):
-        return None
-    if step is not None and steps[0] > step:
+    has_shape = min(steps) > 0 and not any(a != b for a, b in zip(shape, overview.shape, strict=False))
+    if not has_shape or (step is not None and steps[0] > step):
         return None
     stride = 1 if step is None else -(-step // steps[0]) if at_most else step // steps[0]
     values = overview[::stride].astype(np.float32) / np.float32(255.0)
@@ -704,7 +714,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
         {
             "long_name": "True colour (sRGB)",
             "stretch": f"{STRETCH[0]:g} to {STRETCH[1]:g} %",
-            "level": _level_text("overview", every_line, every_column),
+            "level": f"overview, every {every_line}. line and {every_column}. column",
         },
     )
     for dim, number in {ALONG_TRACK: every_line, CROSS_TRACK: every_column}.items():
@@ -712,10 +722,6 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
         if axis is not None and axis.dims == (dim,):
             picture = picture.assign_coords({dim: axis[::number].variable})
     return picture
-
-
-def _level_text(source: str, lines: int, columns: int) -> str:
-    return f"{source}, every {lines}. line and {columns}. column"
 
 
 def linear_srgb(values: Array, *, weights: Array) -> Array:
@@ -823,8 +829,8 @@ def quicklook(
     mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
     plots = figure.subplot_mosaic(mosaic, height_ratios=(1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0))
     show_picture(plots["picture"], rgb(dataset).values, orientation)
-    title = f"{label_for(dataset.attrs.get('name', 'flight line'))}: "
-    title += "true colour" if cube_name == "reflectance" else cube_name
+    content = "true colour" if cube_name == "reflectance" else cube_name
+    title = f"{label_for(dataset.attrs.get('name', 'flight line'))}: {content}"
     plots["picture"].set_title(title + (f", every {step}th line" if step > 1 else ""))
     # bars of the share of pixels with each flag
     axes = plots["flags"]
@@ -834,8 +840,12 @@ def quicklook(
         lengths = [100 * share for share in shares.values()] or [0.0]
         bars = axes.barh(labels, lengths, height=0.6, color="#b5543c")
         axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
-        axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(labels), 8) - 0.4, -0.6))
-        axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
+        axes.set(
+            title="flags",
+            xlabel="share of pixels [%]",
+            xlim=(0, 1.3 * axes.get_xlim()[1]),
+            ylim=(max(len(labels), 8) - 0.4, -0.6),
+        )
     else:
         axes.set_axis_off()
     draw_irradiance(plots["light"], dataset)
@@ -899,8 +909,12 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     if line_seconds.size:
         axes.axvspan(line_seconds.min(), line_seconds.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
     day, _, clock = str(start)[:19].partition("T")
-    axes.set(title=f"irradiance, {day}", xlabel=f"time after {clock} UTC [s]")
-    axes.set(ylabel="irradiance [W m$^{-2}$ nm$^{-1}$]", ylim=(0, 1.05 * axes.get_ylim()[1]))
+    axes.set(
+        title=f"irradiance, {day}",
+        xlabel=f"time after {clock} UTC [s]",
+        ylabel="irradiance [W m$^{-2}$ nm$^{-1}$]",
+        ylim=(0, 1.05 * axes.get_ylim()[1]),
+    )
     legend_below(axes)
 
 
