@@ -250,12 +250,23 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         line_numbers[-1] + 0.5,
     )
     labels = "cross_track [column]", "along_track [line], flown upwards"
-    steps = _ground_steps(dataset)
-    if steps is not None:
-        forward, right = steps
-        mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
-        aspect = float(np.hypot(*forward) / np.hypot(*right))
-        return Orientation(extent, bool(mirrored), False, aspect, labels)
+    is_placed = all(
+        name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
+        for name in ("east", "north")
+    )
+    if is_placed and lines > 1 and columns > 1:
+        # (east, north) of a step along and a step across the track [m], computed along the central column and
+        # across the central line only
+        central_column = dataset[["east", "north"]].isel({CROSS_TRACK: columns // 2}).compute()
+        central_line = dataset[["east", "north"]].isel({ALONG_TRACK: lines // 2}).compute()
+        forward, right = (
+            np.array([_mean_step(positions[name].values) for name in ("east", "north")])
+            for positions in (central_column, central_line)
+        )
+        if all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in (forward, right)):
+            mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
+            aspect = float(np.hypot(*forward) / np.hypot(*right))
+            return Orientation(extent, bool(mirrored), False, aspect, labels)
     # column order from the look angles, as in `locate`, else the declared column order
     look = dataset.variables.get("look_across")
     slope = 0.0 if look is None or look.dims != (CROSS_TRACK,) else _mean_step(look.values)
@@ -263,27 +274,6 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
     order = order or dataset.attrs.get("convention_column_order", "")
     assumed = "" if order in ("left_to_right", "right_to_left") else ", assumed to run to the right"
     return Orientation(extent, order == "right_to_left", False, 1.0, (labels[0] + assumed, labels[1]))
-
-
-def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
-    # (east, north) of a step along and a step across the track [m]; None where unknown
-    if not all(
-        name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
-        for name in ("east", "north")
-    ):
-        return None
-    lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
-    if lines < 2 or columns < 2:
-        return None
-    # computed along the central column and across the central line only
-    central_column = dataset[["east", "north"]].isel({CROSS_TRACK: columns // 2}).compute()
-    central_line = dataset[["east", "north"]].isel({ALONG_TRACK: lines // 2}).compute()
-    steps = [
-        np.array([_mean_step(positions[name].values) for name in ("east", "north")])
-        for positions in (central_column, central_line)
-    ]
-    are_known = all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps)
-    return (steps[0], steps[1]) if are_known else None
 
 
 def _mean_step(values: Array) -> float:

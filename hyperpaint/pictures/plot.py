@@ -57,7 +57,6 @@ from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import (
     COLOURS,
-    Orientation,
     axes_or_new,
     axes_width,
     check_picture,
@@ -1063,7 +1062,35 @@ def flag_overlay(
         options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
         axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
     if layer is None or chosen:
-        _draw_flags(axes, dataset, orientation, chosen, step, opacity)
+        # draw flags in their colours, the rarest on top, with a legend of shares
+        from matplotlib.colors import to_rgb
+        from matplotlib.patches import Patch
+
+        quality = flags_of(dataset)
+        shares = flag_shares(quality)
+        drawn = chosen or tuple(shares)
+        bits = reduced_lines(quality, step, np.bitwise_or)
+        picture = np.zeros((*bits.shape, 4), np.float32)
+        for flag in sorted(drawn, key=lambda flag: -shares.get(flag, 0.0)):
+            picture[(bits & int(flag)) != 0] = (*to_rgb(flag.colour), opacity)
+        show_picture(axes, picture, orientation)
+        labels = {flag: f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}" for flag in drawn}
+        entries = {
+            label: Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5) for flag, label in labels.items()
+        } or {"no flag set": Patch(facecolor="none")}
+        title = "share of pixels"
+        if axes_width(axes) < _NARROW_INCH:
+            legend_below(axes, entries=entries, title=title, alignment="left")
+        else:
+            axes.legend(
+                entries.values(),
+                entries.keys(),
+                fontsize="small",
+                frameon=False,
+                title=title,
+                loc="upper left",
+                bbox_to_anchor=(1.0, 1.0),
+            )
     return save_figure(axes.figure, path)
 
 
@@ -1088,44 +1115,20 @@ def draw_outlines(
             axes.plot(x, y, color=colour, lw=width, path_effects=rim)
         if named:
             across, along = region.polygon.mean(axis=0)
-            style = {"color": "white", "fontsize": "x-small", "ha": "center", "va": "center", "clip_on": True}
-            axes.text(across, along, label_for(region.name), path_effects=rim, **style)
+            axes.text(
+                across,
+                along,
+                label_for(region.name),
+                path_effects=rim,
+                color="white",
+                fontsize="x-small",
+                ha="center",
+                va="center",
+                clip_on=True,
+            )
 
 
 _NARROW_INCH = 5.0  # width of a picture below which its legend is below it
-
-
-def _draw_flags(
-    axes: Any,
-    dataset: xr.Dataset,
-    orientation: Orientation,
-    chosen: tuple[Quality, ...],
-    step: int,
-    opacity: float,
-) -> None:
-    # draw flags in their colours, the rarest on top, with a legend of shares
-    from matplotlib.colors import to_rgb
-    from matplotlib.patches import Patch
-
-    quality = flags_of(dataset)
-    shares = flag_shares(quality)
-    flags = chosen or tuple(shares)
-    bits = reduced_lines(quality, step, np.bitwise_or)
-    picture = np.zeros((*bits.shape, 4), np.float32)
-    for flag in sorted(flags, key=lambda flag: -shares.get(flag, 0.0)):
-        picture[(bits & int(flag)) != 0] = (*to_rgb(flag.colour), opacity)
-    show_picture(axes, picture, orientation)
-    entries = {}
-    for flag in flags:
-        label = f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}"
-        entries[label] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
-    entries = entries or {"no flag set": Patch(facecolor="none")}
-    title = "share of pixels"
-    if axes_width(axes) < _NARROW_INCH:
-        legend_below(axes, entries=entries, title=title, alignment="left")
-    else:
-        options = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **options)
 
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
