@@ -1303,8 +1303,9 @@ def adjacency_figure(
     4
     """
     is_wide = columns_for(figure_width, 5.0, 3) > 1
-    size = (figure_width, 5.6 if is_wide else 14.0)
-    figure = new_figure("a figure of adjacency", figsize=size, layout="constrained")
+    figure = new_figure(
+        "a figure of adjacency", figsize=(figure_width, 5.6 if is_wide else 14.0), layout="constrained"
+    )
     line = rename_to_roles(line)
     variables = require(line, ["reflectance", "wavelength"], "a figure of adjacency")
     lines = {"": line} if without is None else {"": line, "without": rename_to_roles(without)}
@@ -1546,9 +1547,8 @@ def triptych(
     plots = figure.subplots(3 // columns, columns, squeeze=False).ravel()
     wavelength = dataset["wavelength"].values
     if pixels is not None:
-        problems = Problems("pixels cannot be drawn", SchemaError)
-        places = checked_places(dataset, pixels, problems)
-        problems.raise_if_any()
+        with Problems("pixels cannot be drawn", SchemaError) as problems:
+            places = checked_places(dataset, pixels, problems)
         line_indices, column_indices = places.T
         spectra, values = gather(
             cubes, {"quality": calibrated["quality"]}, line_indices, column_indices, slice(None), {}
@@ -1569,8 +1569,8 @@ def triptych(
             cubes, {"quality": calibrated["quality"]}, line_indices, column_indices, slice(None), {}
         )
         # pixels without excluded flags that have a reflectance
-        is_used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
-        is_used &= np.isfinite(spectra["reflectance"]).any(axis=1)
+        excluded = int(EXCLUDED if exclude is None else exclude)
+        is_used = ((values["quality"] & excluded) == 0) & np.isfinite(spectra["reflectance"]).any(axis=1)
         name, count = outlined[0].name, line_indices.size
         SchemaError.raise_if(
             not is_used.any(),
@@ -1708,7 +1708,6 @@ _UNTRUSTED = "#E69F00"
 
 _NARROW_GAIN_INCH = 4.4  # width of axes below which their colour bar is below them
 _LAMP_LINES_SHOWN = 5
-_UNCERTAINTIES = ("random", "systematic")
 _MAX_COLUMNS = 200  # maximum number of columns drawn in one plot
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -1780,14 +1779,22 @@ def calibration_report(
     values = _values(calibration, sweep, column)
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     is_trusted, is_good = values["line_trusted"], values["good"]
-    facts = [
-        str(calibration.attrs.get("sweep", "lab sweep")),
-        f"{int(is_trusted.any(axis=1).sum())} of {len(is_trusted)} steps used",
-        f"{int(is_good.sum())} of {is_good.size} bands have a gain",
-        f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(values['fwhm']):.2f} nm",
-        f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
-    ]
-    figure.suptitle(textwrap.fill("   ·   ".join(facts), max(30, int(11 * width))), fontsize="medium")
+    figure.suptitle(
+        textwrap.fill(
+            "   ·   ".join(
+                [
+                    str(calibration.attrs.get("sweep", "lab sweep")),
+                    f"{int(is_trusted.any(axis=1).sum())} of {len(is_trusted)} steps used",
+                    f"{int(is_good.sum())} of {is_good.size} bands have a gain",
+                    f"line shape {calibration.attrs['srf_shape']}, "
+                    f"FWHM {np.nanmedian(values['fwhm']):.2f} nm",
+                    f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
+                ]
+            ),
+            max(30, int(11 * width)),
+        ),
+        fontsize="medium",
+    )
     heights = (1.3,) + (1.0,) * (rows - 1)  # the first cell holds two axes
     cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
     grid = [cells[divmod(number, columns)] for number in range(6)]
@@ -1812,9 +1819,12 @@ def calibration_report(
         )
         lamp_axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
         residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
-    lamp_axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
+    lamp_axes.set(
+        title=f"lamp lines and fits, column {values['column']}",
+        ylabel="counts above dark [count]",
+        ylim=(min(0.0, lamp_axes.get_ylim()[0]), None),
+    )
     lamp_axes.tick_params(labelbottom=False)
-    lamp_axes.set_ylim(bottom=min(0.0, lamp_axes.get_ylim()[0]))
     residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
     residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
     max_residual = max(
@@ -1822,8 +1832,11 @@ def calibration_report(
     )
     legend_below(residual_axes, lamp_axes)
     residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
-    drawers = (_draw_residuals, _draw_smile, _draw_widths, _draw_responsivity, _draw_uncertainty)
-    for cell, draw in zip(grid[1:], drawers, strict=True):
+    for cell, draw in zip(
+        grid[1:],
+        (_draw_residuals, _draw_smile, _draw_widths, _draw_responsivity, _draw_uncertainty),
+        strict=True,
+    ):
         draw(figure.add_subplot(cell), values)
     for axes in figure.axes:
         axes.set_title(textwrap.fill(axes.get_title(), int(9 * width / columns)))
@@ -1834,21 +1847,20 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
     # variables in the units of the schema, and the highlighted column
     variables = require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
-    problems = Problems("the calibration report cannot be drawn", SchemaError)
-    if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
-        sweep_sizes = {dim: sweep.sizes.get(dim) for dim in sizes}
-        problems.add(
-            f"the sweep has sizes {sweep_sizes}, its calibration {sizes}",
-            expected="equal sizes",
-            code="grid-mismatch",
+    with Problems("the calibration report cannot be drawn", SchemaError) as problems:
+        if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
+            sweep_sizes = {dim: sweep.sizes.get(dim) for dim in sizes}
+            problems.add(
+                f"the sweep has sizes {sweep_sizes}, its calibration {sizes}",
+                expected="equal sizes",
+                code="grid-mismatch",
+            )
+        problems.add_if(
+            column is not None and not 0 <= column < sizes[CROSS_TRACK],
+            f"column={column}",
+            expected=f"0 to {sizes[CROSS_TRACK] - 1}",
+            code="value-out-of-range",
         )
-    problems.add_if(
-        column is not None and not 0 <= column < sizes[CROSS_TRACK],
-        f"column={column}",
-        expected=f"0 to {sizes[CROSS_TRACK] - 1}",
-        code="value-out-of-range",
-    )
-    problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():
         absent = {dim: sizes[dim] for dim in dims if dim not in variables[name].dims}
@@ -1888,8 +1900,15 @@ def _draw_residuals(axes: Any, values: Values) -> None:
     finite = residual[np.isfinite(residual)]
     limit = max(float(np.percentile(np.abs(finite), 98)), 1e-6) if finite.size else 1.0
     rms = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no lamp line is used"
-    colours = {"cmap": "PuOr", "vmin": -limit, "vmax": limit}
-    _draw_map(axes, values["step_wavelength"], residual, "map - monochromator [nm]", **colours)
+    _draw_map(
+        axes,
+        values["step_wavelength"],
+        residual,
+        "map - monochromator [nm]",
+        cmap="PuOr",
+        vmin=-limit,
+        vmax=limit,
+    )
     axes.set_title(f"wavelength residual, {rms}")
 
 
@@ -1916,8 +1935,7 @@ def _shade_untrusted(axes: Any, values: Values) -> None:
     for number, (start, stop) in enumerate(runs.tolist()):
         label = None if number else "no gain"
         axes.axvspan(edges[start], edges[stop], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
-    axes.set_xlim(edges.min(), edges.max())
-    axes.set_xlabel("wavelength [nm]")
+    axes.set(xlim=(edges.min(), edges.max()), xlabel="wavelength [nm]")
 
 
 def _draw_widths(axes: Any, values: Values) -> None:
@@ -1928,8 +1946,16 @@ def _draw_widths(axes: Any, values: Values) -> None:
         np.nanpercentile(widths[is_used], (5, 50, 95), axis=1) if is_used.any() else np.empty((3, 0))
     )
     label = "lamp lines: median, 5 to 95 % of the columns"
-    intervals = (median - lower, upper - median)
-    axes.errorbar(step_nm[is_used], median, intervals, fmt="o", ms=3, lw=0.8, color=_BLUE, label=label)
+    axes.errorbar(
+        step_nm[is_used],
+        median,
+        (median - lower, upper - median),
+        fmt="o",
+        ms=3,
+        lw=0.8,
+        color=_BLUE,
+        label=label,
+    )
     axes.plot(values["wavelength"], values["fwhm"], color=_VERMILION, lw=1.8, zorder=3, label="calibration")
     if is_used.sum() > 4:  # lamp lines cut off at the edges of the detector do not set the scale
         inner = slice(2, -2)
@@ -1961,7 +1987,8 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
     wavelength = values["wavelength"]
     random, systematic = (
-        finite_quantiles(100 * values[f"radiance_gain_u_{kind}"].T, [0.5])[0] for kind in _UNCERTAINTIES
+        finite_quantiles(100 * values[f"radiance_gain_u_{kind}"].T, [0.5])[0]
+        for kind in ("random", "systematic")
     )
     axes.semilogy(wavelength, np.hypot(random, systematic), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(
@@ -1971,8 +1998,8 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
-    axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
-    axes.set_ylim(top=2.0 * axes.get_ylim()[1])
+    top = 2.0 * axes.get_ylim()[1]
+    axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]", ylim=(None, top))
     legend_below(axes)
 
 
@@ -2055,9 +2082,10 @@ def chips_and_renders(
     """
     paints, problems = find_usable(paints)
     variables = require(paints, ["reflectance", "wavelength"], "chips", LIBRARY_VARIABLES)
-    lines: dict[str, Any] = {"": renders}
-    if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
-        lines = dict(renders)
+    is_one = not isinstance(renders, Mapping) or hasattr(renders, "dims")
+    lines: dict[str, Any] = (
+        {"": renders} if is_one else {str(name): render for name, render in renders.items()}
+    )
     if problems or not paints.sizes[SIGNATURE] or not lines:
         reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
         raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
@@ -2217,8 +2245,8 @@ def paint_card(
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
     properties = region.properties
-    head = [label_for(signature[SIGNATURE].item())]
-    head += [label_for(properties[name]) for name in ("kind", "finish") if properties.get(name)]
+    words = (properties[name] for name in ("kind", "finish") if properties.get(name))
+    head = [label_for(word) for word in (signature[SIGNATURE].item(), *words)]
     reasons, chars = properties.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
     reasons = reasons if isinstance(reasons, list | tuple) else ()
     text = label_for("; ".join(map(str, reasons)), longest=6 * chars)
@@ -2273,11 +2301,10 @@ def _draw_exclusions(
     shares = {flag: float(((bits & int(flag)) != 0)[in_region].mean()) for flag in Quality if flag & excluded}
     for flag, share in sorted(shares.items(), key=lambda pair: -pair[1]):
         has_flag = (bits & int(flag)) != 0
-        if not has_flag.any():
-            continue
-        picture[has_flag] = to_rgb(flag.colour)
-        name = f"{flag_label(flag)}  {percent(share) if share else 'outside only'}"
-        entries[name] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
+        if has_flag.any():
+            picture[has_flag] = to_rgb(flag.colour)
+            name = f"{flag_label(flag)}  {percent(share) if share else 'outside only'}"
+            entries[name] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
     show_picture(axes, picture, orientation)
     axes.set(ylabel="")
     draw_outlines(axes, [region], width=1.2, named=False)
@@ -2312,8 +2339,8 @@ def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
     draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
     count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
     draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    bottom = min(0.0, axes.get_ylim()[0])
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(bottom, None))
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize="small")
     legend_below(axes)
@@ -2414,7 +2441,6 @@ def detection_curve(
 MAX_PAIRS = 24  # of one figure
 
 _PAINT_AXES_INCH = (3.6, 3.9)
-_SIGNATURE = "#3399DD"
 _FAILED = "#C0392B"  # title and frame of a paint outside the tolerance
 # colours (of Okabe and Ito) and dashes of the references of one paint, one per instrument
 _REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00", (0, (6, 1, 1, 1))))
@@ -2534,7 +2560,7 @@ def validation_figure(
 
 def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
     signature = validation.spectra[pairs[0]]
-    _draw_side(axes, signature, "signature", "signature", _SIGNATURE, "-")
+    _draw_side(axes, signature, "signature", "signature", _BLUE, "-")
     for number, pair in enumerate(pairs):
         spectra = validation.spectra[pair]
         # agreement over the part of the spectrum with most bands
@@ -2543,11 +2569,17 @@ def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
         agreement = f"RMSE {float(part['rmse']):.4f}{limit}, scale {float(part['scale']):.3f}"
         label = f"reference ({spectra.attrs['instrument']}): {agreement}"
         _draw_side(axes, spectra, "reference", label, *_REFERENCES[number % len(_REFERENCES)])
-    names = [
-        str(signature.attrs["signature"]),
-        *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
-    ]
-    title = label_for(" / ".join(dict.fromkeys(names)), longest=34)
+    title = label_for(
+        " / ".join(
+            dict.fromkeys(
+                [
+                    str(signature.attrs["signature"]),
+                    *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
+                ]
+            )
+        ),
+        longest=34,
+    )
     fails = not all(bool(validation.statistics["passes"].isel(pair=pair).all()) for pair in pairs)
     style = {"color": _FAILED, "fontweight": "bold"} if fails else {}
     axes.set_title(f"FAIL  {title}" if fails else title, fontsize="small", loc="left", **style)
