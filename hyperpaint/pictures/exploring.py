@@ -302,9 +302,8 @@ class Explored:
             )
             quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
             quantiles[:, ~good_bands(self.line)] = np.nan
-            subsampling = f" (every {step}. line)" if step > 1 else ""
-            text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
-            text += _flag_text(flag_texts)
+            pixel_text = f"{along.size} pixels" + (f" (every {step}. line)" if step > 1 else "")
+            text = f"median of {int(is_used.sum())} of {pixel_text}: {', '.join(flag_texts) or 'no flag'}"
             if np.isfinite(quantiles).any():
                 lower, upper = (float(f"{np.nanmedian(edge):.2g}") for edge in (quantiles[0], quantiles[-1]))
                 text += f"; 90 % of them from {lower:g} to {upper:g} in the median band"
@@ -317,7 +316,8 @@ class Explored:
         names = ("column", "row") if self.is_map else ("line", "column")
         text = f"{names[0]} {rows[row]:g}, {names[1]} {columns[column]:g}"
         if "quality" in pixel:
-            text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
+            flags = ", ".join(schema.flag_names(int(pixel["quality"]))).replace("_", " ")
+            text += f": {flags or 'no flag'}"
         return Spectrum(self.wavelength + shift, values, None, text)
 
     def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
@@ -366,8 +366,9 @@ class Explored:
         # without systematic errors, the random errors are shown
         u = np.hypot(random, np.nan_to_num(systematic)) if has_systematic else random
         subject = "a pixel" if along.size == 1 else "the mean, without the differences of pixels,"
-        text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
-        return u, text + ("" if has_systematic else "; systematic errors are unknown")
+        return u, f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band" + (
+            "" if has_systematic else "; systematic errors are unknown"
+        )
 
     # --- paints --------------------------------------------------------------------------------------------
 
@@ -376,8 +377,11 @@ class Explored:
         # None for other cubes than reflectance, and with fewer than five good bands.
         if self.library is None or not self.is_reflectance or not self.has_wavelength:
             return []
-        wavelength = (BAND, spectrum.wavelength, {"units": "nm"})
-        target = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": wavelength})
+        target = xr.DataArray(
+            spectrum.reflectance,
+            dims=BAND,
+            coords={"wavelength": (BAND, spectrum.wavelength, {"units": "nm"})},
+        )
         try:
             matches = search_library(self.library, like=target, maximum_angle=np.radians(MAX_NEAR_ANGLE))
         except PaintError:
@@ -537,10 +541,6 @@ def _cached(results: dict[Any, T], compute: Callable[[Place], T], place: Place) 
         except PaintError as error:
             return str(error)
     return results[key]
-
-
-def _flag_text(names: Sequence[str]) -> str:
-    return ", ".join(names).replace("_", " ") or "no flag"
 
 
 def _rgba(picture: Array, is_opaque: Array | None = None) -> npt.NDArray[np.uint32]:
@@ -708,7 +708,19 @@ class Explorer:
 
     def __init__(self, state: Explored, *, theme: str = "light", save_to: Path | None = None) -> None:
         import panel
-        from bokeh.models import ColumnDataSource
+        from bokeh.events import DoubleTap, SelectionGeometry, Tap
+        from bokeh.models import (
+            BoxSelectTool,
+            ColumnDataSource,
+            CustomJS,
+            HoverTool,
+            PanTool,
+            PointDrawTool,
+            Range1d,
+            RangeTool,
+            Span,
+        )
+        from bokeh.plotting import figure
 
         panel.extension()  # loads scripts into a notebook
         self._state, self._theme, self._save_to = state, theme, save_to
@@ -720,11 +732,8 @@ class Explorer:
         # the last clicked pixel or box, or the name of the selected region; at first the central column
         lines, columns = state.shape
         self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
-        # The picture of the line, flown to the right, and a small picture of the complete line below
-        from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d, RangeTool
-        from bokeh.plotting import figure
-
-        sources, (lines, columns) = self._sources, self._state.shape
+        # the picture of the line, flown to the right, and a small picture of the complete line below
+        sources = self._sources
         # the flight is to the right, so that columns on its right side are below
         edges = (-0.5, columns - 0.5)[:: 1 if self._state.is_mirrored else -1]
         # a short line leaves no margin
@@ -769,9 +778,15 @@ class Explorer:
         plot.toolbar.active_drag = self._tools["spectrum"]
         self._set_style(plot)
         plot.grid.visible = False
-        size: dict[str, Any] = {"plot": plot, "view": sources["view"], "aspect": self._state.aspect}
-        size |= {"lines": lines, "columns": columns}
-        size |= {"least": PICTURE_HEIGHT - 60, "most": _MAX_PICTURE_HEIGHT}
+        size: dict[str, Any] = {
+            "plot": plot,
+            "view": sources["view"],
+            "aspect": self._state.aspect,
+            "lines": lines,
+            "columns": columns,
+            "least": PICTURE_HEIGHT - 60,
+            "most": _MAX_PICTURE_HEIGHT,
+        }
         calls = {_WATCH: (plot.x_range, "start", "end"), _FIT: (plot, "inner_width", "inner_height")}
         for code, (model, *names) in calls.items():
             for name in names:
@@ -793,9 +808,63 @@ class Explorer:
         tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
         small.add_tools(tool)
         small.outline_line_color = small.border_fill_color = small.background_fill_color = None
-        self._make_spectra()
+        # curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve
+        self._spectra = chart = figure(
+            name="spectra",
+            height=SPECTRA_HEIGHT,
+            tools="pan,box_zoom,reset",
+            x_axis_label="wavelength [nm]" if self._state.has_wavelength else "band",
+            y_axis_label=self._state.quantity.replace("$^{", "^").replace("}$", ""),
+            **FULL_WIDTH,
+        )
+        axes = ("nm", "reflectance")
+        for name, alpha in (("spreads", 0.12), ("uncertainty", 0.35)):
+            chart.patches(
+                *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
+            )
+        curves = chart.multi_line(
+            *axes,
+            source=self._sources["curves"],
+            line_color="colour",
+            line_width="width",
+            line_dash="dash",
+        )
+        # the wavelength of the band shown in the picture
+        self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
+        chart.add_layout(self._shown_band)
+        value = "$y{0.000}" if self._state.is_reflectance else "$y{0.[000]}"
+        tips = {
+            "": "@name",
+            "nm" if self._state.has_wavelength else "band": "$x{0.0}",
+            self._state.quantity.partition(" [")[0]: value,
+        }
+        chart.add_tools(HoverTool(renderers=[curves], tooltips=list(tips.items())))
+        self._set_style(chart)
         self._make_widgets()
-        self._connect()
+        plot.on_event(Tap, lambda event: self.tap(event.x, event.y))
+        plot.on_event(DoubleTap, lambda event: self.close(event.x, event.y))
+        plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
+        self._spectra.on_event(Tap, lambda event: self.take_band(event.x))
+        self._sources["corners"].on_change("data", self._corners_changed)
+        self._sources["view"].on_change("data", self._view_changed)
+        for widget, name, call in (
+            (self._widgets.mode, "value", lambda _: self._change_mode()),
+            (self._widgets.recipe, "value", lambda _: self._update_pictures()),
+            (self._widgets.stretch, "value_throttled", lambda _: self._update_pictures()),
+            (self._widgets.band, "value_throttled", lambda event: self.take_band(event.new)),
+            (self._widgets.flag_boxes, "value", lambda _: self._update_flags()),
+            (self._widgets.region_menu, "value", lambda event: self._select(event.new)),
+            (self._widgets.name, "value", lambda event: self._rename(event.new)),
+            (self._widgets.paint_boxes, "value", lambda _: self._update_spectra()),
+        ):
+            widget.param.watch(self._unless_updating(call), name)
+        for button, press in (
+            (self._widgets.box_button, self._box_to_region),
+            (self._widgets.undo_button, lambda: self._change_draft(-1)),
+            (self._widgets.remove_button, self._remove_region),
+            (self._widgets.save_button, self._write_regions),
+        ):
+            button.on_click(self._unless_updating(lambda _, press=press: press()))
         self._update_pictures()
         self._select(state.drawn.names[-1] if len(state.drawn) else None)
 
@@ -812,43 +881,6 @@ class Explorer:
         return self.view._repr_mimebundle_(include, exclude)
 
     # --- figures ------------------------------------------------------------------------------------------
-
-    def _make_spectra(self) -> None:
-        # curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve
-        from bokeh.models import HoverTool, Span
-        from bokeh.plotting import figure
-
-        self._spectra = plot = figure(
-            name="spectra",
-            height=SPECTRA_HEIGHT,
-            tools="pan,box_zoom,reset",
-            x_axis_label="wavelength [nm]" if self._state.has_wavelength else "band",
-            y_axis_label=self._state.quantity.replace("$^{", "^").replace("}$", ""),
-            **FULL_WIDTH,
-        )
-        axes = ("nm", "reflectance")
-        for name, alpha in (("spreads", 0.12), ("uncertainty", 0.35)):
-            plot.patches(
-                *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
-            )
-        curves = plot.multi_line(
-            *axes,
-            source=self._sources["curves"],
-            line_color="colour",
-            line_width="width",
-            line_dash="dash",
-        )
-        # the wavelength of the band shown in the picture
-        self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
-        plot.add_layout(self._shown_band)
-        value = "$y{0.000}" if self._state.is_reflectance else "$y{0.[000]}"
-        tips = {
-            "": "@name",
-            "nm" if self._state.has_wavelength else "band": "$x{0.0}",
-            self._state.quantity.partition(" [")[0]: value,
-        }
-        plot.add_tools(HoverTool(renderers=[curves], tooltips=list(tips.items())))
-        self._set_style(plot)
 
     def _set_style(self, plot: Any) -> None:
         plot.toolbar.logo = None
@@ -884,7 +916,7 @@ class Explorer:
                 "DiscreteSlider",
                 "Band [nm]" if state.has_wavelength else "Band",
                 options=bands,
-                value=_nearest_option(bands, 650.0),
+                value=min(bands, key=lambda band: abs(band - 650.0)),
                 formatter="%.1f" if state.has_wavelength else "%.0f",
             ),
             stretch=make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98)),
@@ -945,37 +977,6 @@ class Explorer:
             **FULL_WIDTH,
         )
 
-    def _connect(self) -> None:
-        from bokeh.events import DoubleTap, SelectionGeometry, Tap
-
-        plot = self._plot
-        plot.on_event(Tap, lambda event: self.tap(event.x, event.y))
-        plot.on_event(DoubleTap, lambda event: self.close(event.x, event.y))
-        plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
-        self._spectra.on_event(Tap, lambda event: self.take_band(event.x))
-        self._sources["corners"].on_change("data", self._corners_changed)
-        self._sources["view"].on_change("data", self._view_changed)
-        calls = (
-            (self._widgets.mode, "value", lambda _: self._change_mode()),
-            (self._widgets.recipe, "value", lambda _: self._update_pictures()),
-            (self._widgets.stretch, "value_throttled", lambda _: self._update_pictures()),
-            (self._widgets.band, "value_throttled", lambda event: self.take_band(event.new)),
-            (self._widgets.flag_boxes, "value", lambda _: self._update_flags()),
-            (self._widgets.region_menu, "value", lambda event: self._select(event.new)),
-            (self._widgets.name, "value", lambda event: self._rename(event.new)),
-            (self._widgets.paint_boxes, "value", lambda _: self._update_spectra()),
-        )
-        for widget, name, call in calls:
-            widget.param.watch(self._unless_updating(call), name)
-        clicks = (
-            (self._widgets.box_button, self._box_to_region),
-            (self._widgets.undo_button, lambda: self._change_draft(-1)),
-            (self._widgets.remove_button, self._remove_region),
-            (self._widgets.save_button, self._write_regions),
-        )
-        for button, press in clicks:
-            button.on_click(self._unless_updating(lambda _, press=press: press()))
-
     def _unless_updating(self, call: Any) -> Any:
         # ignores events of widgets that this class is setting
         import panel
@@ -1000,7 +1001,8 @@ class Explorer:
             names = [region.name for region in self._state.drawn if contains(region.polygon, (), *spot)[0]]
             self._select(names[-1] if names else self._widgets.region_menu.value)
         elif all(0 <= number < size for number, size in zip(pixel, self._state.shape, strict=True)):
-            self._select_place(pixel)
+            self._selected = pixel
+            self._select(None)
 
     def drag(self, geometry: dict[str, Any]) -> None:
         # Show the median spectrum of a box dragged over the picture.
@@ -1014,12 +1016,9 @@ class Explorer:
         if along[0] > along[1] or across[0] > across[1]:
             return
         # extend the box by a quarter of a pixel, so that a box of one line contains its pixel centres
-        self._select_place(
-            Region(
-                "box",
-                np.array([(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]),
-            )
-        )
+        corners = [(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]
+        self._selected = Region("box", np.array(corners))
+        self._select(None)
 
     def close(self, along: float, across: float) -> None:
         # Add the last corner of the polygon in progress, and make it a region.
@@ -1033,14 +1032,10 @@ class Explorer:
     def take_band(self, wavelength: float) -> None:
         # Show the band nearest to a wavelength [nm].
         self._is_updating = True
-        self._widgets.band.value = _nearest_option(self._widgets.band.options, wavelength)
+        self._widgets.band.value = min(self._widgets.band.options, key=lambda band: abs(band - wavelength))
         self._widgets.recipe.value = _ONE_BAND
         self._is_updating = False
         self._update_pictures()
-
-    def _select_place(self, clicked: Place) -> None:
-        self._selected = clicked
-        self._select(None)
 
     def _box_to_region(self) -> None:
         if isinstance(self._selected, Region):
@@ -1293,10 +1288,6 @@ def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float,
         "width": width,
         "dash": dash,
     }
-
-
-def _nearest_option(values: list[float], value: float) -> float:
-    return min(values, key=lambda option: abs(option - value))
 
 
 def _colour(number: int) -> str:
