@@ -21,7 +21,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
@@ -35,7 +34,10 @@ from hyperpaint.base import (
     OUTSIDE,
     SIGNATURE,
     THROUGH_COAT,
+    Array,
+    Bools,
     Floats,
+    Indices,
     Problem,
     Problems,
     SchemaError,
@@ -309,8 +311,8 @@ class Validation:
         lines = aligned([_HEAD, *rows, *(self.between._rows() if self.between else [])], names=3)
         text = [lines[0], "-" * len(lines[0]), *lines[1 : len(rows) + 1]]
         if self.between:
-            text += ["", "references against one another, the first minus the second:"]
-            text += lines[len(rows) + 1 :]
+            title = "references against one another, the first minus the second:"
+            text += ["", title, *lines[len(rows) + 1 :]]
         text += ["", *_LEGEND, *self._remarks(), self.verdict]
         return "\n".join("".join(sign if sign.isprintable() else "\ufffd" for sign in line) for line in text)
 
@@ -608,41 +610,42 @@ def scaled_by_panel(spectra: list[Measured], panel: Any, surface: Any = LAMBERTI
         mend="see read_certificate",
         code="type-wrong",
     )
-    problems = Problems("references cannot be scaled by the panel", SchemaError)
-    wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
-    values = convert(array, "1", "panel").values.astype(np.float64)
-    order = np.argsort(wavelength)
-    wavelength, values = wavelength[order], values[order]
-    if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
-        problems.add("panel= has wavelengths twice, or values that are not finite", code="not-finite")
-    elif not ((values > 0.0) & (values <= 1.2)).all():
-        limits = f"{values.min():g} to {values.max():g}"
-        problems.add(
-            f"panel= has values from {limits}",
-            expected="above 0, at most 1.2",
-            mend="divide percent by 100",
-            code="value-out-of-range",
+    with Problems("references cannot be scaled by the panel", SchemaError) as problems:
+        wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
+        values = convert(array, "1", "panel").values.astype(np.float64)
+        order = np.argsort(wavelength)
+        wavelength, values = wavelength[order], values[order]
+        if not (
+            np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()
+        ):
+            problems.add("panel= has wavelengths twice, or values that are not finite", code="not-finite")
+        elif not ((values > 0.0) & (values <= 1.2)).all():
+            limits = f"{values.min():g} to {values.max():g}"
+            problems.add(
+                f"panel= has values from {limits}",
+                expected="above 0, at most 1.2",
+                mend="divide percent by 100",
+                code="value-out-of-range",
+            )
+        problems.extend(
+            Problem(
+                f"reference {spectrum.name!r} is absolute already, or from a library",
+                mend="remove the argument panel=",
+                code="option-conflict",
+            )
+            for spectrum in spectra
+            if spectrum.absolute
         )
-    problems.extend(
-        Problem(
-            f"reference {spectrum.name!r} is absolute already, or from a library",
-            mend="remove the argument panel=",
-            code="option-conflict",
+        problems.extend(
+            Problem(
+                f"reference {spectrum.name!r} has no time and place, so that the sun on its panel is unknown",
+                expected="time, latitude and longitude, for panel_surface=",
+                mend="add them to the references, or remove the argument panel_surface=",
+                code="panel-light-unknown",
+            )
+            for spectrum in spectra
+            if np.isnan(spectrum.sun_zenith) and not is_lambertian(surface)
         )
-        for spectrum in spectra
-        if spectrum.absolute
-    )
-    problems.extend(
-        Problem(
-            f"reference {spectrum.name!r} has no time and place, so that the sun on its panel is unknown",
-            expected="time, latitude and longitude, for panel_surface=",
-            mend="add them to the references, or remove the argument panel_surface=",
-            code="panel-light-unknown",
-        )
-        for spectrum in spectra
-        if np.isnan(spectrum.sun_zenith) and not is_lambertian(surface)
-    )
-    problems.raise_if_any()
     check_surface(surface, values)
     scaled = []
     for spectrum in spectra:
@@ -721,10 +724,6 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
     known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
 
-    note = (
-        f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the body "
-        f"under it: less {mirrored:.3f}, times {factor:.3f}"
-    )
     return reference.times(
         factor,
         values=(reference.values - mirrored) * factor,
@@ -732,7 +731,11 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         covariance=None,  # it lacks the uncertainty of the index
         mirror=EXCLUDED,
         quantity=BODY,
-        notes=(*reference.notes, note),
+        notes=(
+            *reference.notes,
+            f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the "
+            f"body under it: less {mirrored:.3f}, times {factor:.3f}",
+        ),
     )
 
 
@@ -749,7 +752,7 @@ _DETECTOR_EDGES_NM = (1000.0, 1900.0)
 
 def join_detectors(
     wavelength: Floats,
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], tuple[float, ...]]:
+) -> tuple[Indices, Indices, tuple[float, ...]]:
     """Return the channels that form one increasing axis of wavelengths.
 
     Their positions in the file (channel,), the number of every channel's detector (channel,), and the
@@ -801,7 +804,7 @@ def join_detectors(
     return channels, number, tuple(joins)
 
 
-def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
+def channel_widths(wavelength: Floats, detector: Array, instrument: str) -> tuple[Floats, str]:
     # Return usual widths of channels for data that do not state them, and the source of these widths.
     # ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
     # ``instrument``: name of the instrument in the data.
@@ -821,7 +824,6 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
 
 
 UNKNOWN = "unknown"
-_MIRRORS = ("included", "excluded")
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
 #: Range of plausible channel widths: minimum [nm], and maximum in distances of channels.
 _MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0
@@ -896,6 +898,29 @@ def _library_spectra(
         # the number of independent pixels if it is known: neighbours share errors
         counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
         words = [_text_of(dataset, key, number, SIGNATURE).lower() for key in ("finish", "material", "kind")]
+        # reasons why the level of a signature is uncertain, for the reader of the result
+        light = {
+            name: dataset[name].isel({SIGNATURE: number}).values[()]
+            for name in ("sun_zenith", "sky_state")
+            if name in dataset.variables and dataset[name].dims == (SIGNATURE,)
+        }
+        has_split = (
+            "diffuse_fraction" in dataset.variables
+            and SIGNATURE in dataset["diffuse_fraction"].dims
+            and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
+        )
+        notes, sun_zenith = [], float(light.get("sun_zenith", np.nan))
+        if sun_zenith > _LOW_SUN_DEG:
+            change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
+            notes.append(
+                f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its "
+                f"light by {change:.0f} %; judge the shape of the signature rather than its level"
+            )
+        if has_split and light.get("sky_state") == SKY_STATES.index("contradictory"):
+            notes.append(
+                "the irradiance record contradicted every sky at that time, so the level is uncertain: check "
+                "clocks and the receiver's calibration, or give sun_zenith= to signatures"
+            )
         yield channels.spectrum(
             values[number],
             spreads,
@@ -910,7 +935,7 @@ def _library_spectra(
             covariance=None
             if covariances is None
             else covariances[number][np.ix_(channels.order, channels.order)],
-            notes=(*channels.notes, *_light_notes(dataset, number)),
+            notes=(*channels.notes, *notes),
             finish=next((word for word in words if word in FLAKE_PAINTS), ""),
             aspecular=_aspecular_of(dataset, number, attrs, is_level=False),
             place=_place_of(dataset, number, SIGNATURE),
@@ -929,30 +954,6 @@ def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]
         return {}
     is_uncorrected = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
     return {"quantity": THROUGH_COAT} if is_uncorrected else {}
-
-
-def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
-    # Reasons why the level of a signature is uncertain, for the reader of the result
-    values = {
-        name: dataset[name].isel({SIGNATURE: number}).values[()]
-        for name in ("sun_zenith", "sky_state")
-        if name in dataset.variables and dataset[name].dims == (SIGNATURE,)
-    }
-    has_split = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
-    has_split = has_split and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
-    notes, sun_zenith = [], float(values.get("sun_zenith", np.nan))
-    if sun_zenith > _LOW_SUN_DEG:
-        change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
-        notes.append(
-            f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its light "
-            f"by {change:.0f} %; judge the shape of the signature rather than its level"
-        )
-    if has_split and values.get("sky_state") == SKY_STATES.index("contradictory"):
-        notes.append(
-            "the irradiance record contradicted every sky at that time, so the level is uncertain: check "
-            "clocks and the receiver's calibration, or give sun_zenith= to signatures"
-        )
-    return notes
 
 
 # --- spectrometers -----------------------------------------------------------------------------------------
@@ -1013,7 +1014,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *errors),
             **_overlap_of(attributes["overlap"], is_matched),
-            mirror=mirror if mirror in _MIRRORS else UNKNOWN,
+            mirror=mirror if mirror in (INCLUDED, EXCLUDED) else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             aspecular=_aspecular_of(dataset, number, attrs, is_level=True),
             place=_place_of(dataset, number, "spectrum"),
@@ -1076,7 +1077,7 @@ def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
 @dataclass(frozen=True, eq=False)
 class _Channels:
     # Channels on one increasing axis of wavelengths
-    order: npt.NDArray[np.intp]  # (channel,): Positions in the data
+    order: Indices  # (channel,): Positions in the data
     wavelength: Floats
     fwhm: Floats
     notes: tuple[str, ...]  # Joins of detectors, and the source of the widths
@@ -1244,7 +1245,7 @@ class Operator:
         Floats | None
     )  #: (band, channel): Weights, rows sum to 1; None where channels and bands are equal.
     #: (band,): Whether a band is covered completely, and not too narrow for the channels.
-    is_covered: npt.NDArray[np.bool_]
+    is_covered: Bools
     #: (band,): Part of a band's response covered by the channels [1]; 0 where channels within are missing.
     coverage: Floats
     misfit: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
@@ -1537,7 +1538,7 @@ class Compared:
         return f"{self.pair.signature.instrument} against {instrument}" if self.pair.between else instrument
 
     @property
-    def used(self) -> npt.NDArray[np.bool_]:
+    def used(self) -> Bools:
         # Bands that are compared (band,)
         return np.isfinite(self.signature) & np.isfinite(self.reference)
 
