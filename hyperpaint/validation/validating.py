@@ -1338,55 +1338,87 @@ def paired(
     #
     # Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
     # datasets, share a name; or nothing can be paired. All problems of a kind are listed.
-    names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
-    problems = Problems("paints and references cannot be paired by name", SchemaError)
-    counts = Counter(signature.name for signature in signatures)
-    places = {k: s.place for k, s in enumerate(signatures) if s.place and not s.reference_name}
-    by_place = match_places(
-        places if names_of_paint is None else {},
-        {k: signature.name for k, signature in enumerate(signatures)},
-        [reference.place for reference in references],
-        [reference.instrument for reference in references],
-        place_accuracy,
-    )
-    matched: list[Pair] = []
-    unpaired: list[str] = []
-    missing: list[str] = []
-    paired_references: set[int] = set()
-    for key, signature in enumerate(signatures):
-        requested = signature.reference_name
-        is_numbered = names_of_paint is None and not requested and bool(_NUMBERED.fullmatch(signature.name))
-        if is_numbered:
-            names: Sequence[str] = ()
-        elif names_of_paint is None:
-            names = (requested or signature.name,)
-        else:
-            names = names_of_paint.get(signature.name, ())
-        matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
-        if key in places and by_place:
-            # a place confirms a name, and replaces it where no name matches
-            here = {k: match.text for k, match in by_place.items() if match.paint == key}
-            matching = [k for k in matching if k not in by_place or key in by_place[k].near] or list(here)
-            here = {k: text for k, text in here.items() if k in matching}
-            texts = (f"matched by place: {references[k].name} is {text}" for k, text in here.items())
-            signature = replace(signature, notes=(*signature.notes, *texts))
-        if not matching:
-            is_missing = names_of_paint is None and bool(requested)
-            reason = f" (no reference {requested!r})" if is_missing else ""
-            unpaired.append(signature.name + (" (numbered by its reader)" if is_numbered else reason))
-            missing += unpaired[-1:] if is_missing else []
-            continue
-        problems.add_if(
-            counts[signature.name] > 1 and (names_of_paint is not None or not requested),
-            f"{counts[signature.name]} paints have the name {signature.name!r}",
-            mend="give each paint a unique name",
-            code="paint-duplicate",
+    names_of_paint: dict[str, tuple[str, ...]] | None = None
+    if pairs is not None:
+        SchemaError.raise_if(
+            not isinstance(pairs, Mapping),
+            f"pairs is {type(pairs).__name__}",
+            expected="a mapping from names of paints to names of references",
+            code="type-wrong",
         )
-        paired_references.update(matching)
-        for instrument in dict.fromkeys(references[k].instrument for k in matching):
-            group = tuple(references[k] for k in matching if references[k].instrument == instrument)
-            matched.append(Pair(signature, group))
-    problems.raise_if_any()
+        with Problems("pairs= cannot be used", SchemaError) as pair_problems:
+            paints = {signature.name for signature in signatures}
+            known_names = frozenset[str]().union(
+                *(rank for reference in references for rank in reference.names.ranks)
+            )
+            names_of_paint = {}
+            for paint, value in pairs.items():
+                reference_names = (value,) if isinstance(value, str) else tuple(value)
+                pair_problems.add_if(
+                    paint not in paints,
+                    f"there is no paint {paint!r}",
+                    expected=_listed(sorted(paints)),
+                    code="paint-unknown",
+                )
+                pair_problems.extend(
+                    Problem(
+                        f"there is no reference {name!r} for {paint!r}",
+                        expected=_listed([reference.name for reference in references]),
+                        code="reference-unknown",
+                    )
+                    for name in reference_names
+                    if name not in known_names
+                )
+                names_of_paint[str(paint)] = reference_names
+    with Problems("paints and references cannot be paired by name", SchemaError) as problems:
+        counts = Counter(signature.name for signature in signatures)
+        places = {k: s.place for k, s in enumerate(signatures) if s.place and not s.reference_name}
+        by_place = match_places(
+            places if names_of_paint is None else {},
+            {k: signature.name for k, signature in enumerate(signatures)},
+            [reference.place for reference in references],
+            [reference.instrument for reference in references],
+            place_accuracy,
+        )
+        matched: list[Pair] = []
+        unpaired: list[str] = []
+        missing: list[str] = []
+        paired_references: set[int] = set()
+        for key, signature in enumerate(signatures):
+            requested = signature.reference_name
+            is_numbered = (
+                names_of_paint is None and not requested and bool(_NUMBERED.fullmatch(signature.name))
+            )
+            if is_numbered:
+                names: Sequence[str] = ()
+            elif names_of_paint is None:
+                names = (requested or signature.name,)
+            else:
+                names = names_of_paint.get(signature.name, ())
+            matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
+            if key in places and by_place:
+                # a place confirms a name, and replaces it where no name matches
+                here = {k: match.text for k, match in by_place.items() if match.paint == key}
+                matching = [k for k in matching if k not in by_place or key in by_place[k].near] or list(here)
+                here = {k: text for k, text in here.items() if k in matching}
+                texts = (f"matched by place: {references[k].name} is {text}" for k, text in here.items())
+                signature = replace(signature, notes=(*signature.notes, *texts))
+            if not matching:
+                is_missing = names_of_paint is None and bool(requested)
+                reason = f" (no reference {requested!r})" if is_missing else ""
+                unpaired.append(signature.name + (" (numbered by its reader)" if is_numbered else reason))
+                missing += unpaired[-1:] if is_missing else []
+                continue
+            problems.add_if(
+                counts[signature.name] > 1 and (names_of_paint is not None or not requested),
+                f"{counts[signature.name]} paints have the name {signature.name!r}",
+                mend="give each paint a unique name",
+                code="paint-duplicate",
+            )
+            paired_references.update(matching)
+            for instrument in dict.fromkeys(references[k].instrument for k in matching):
+                group = tuple(references[k] for k in matching if references[k].instrument == instrument)
+                matched.append(Pair(signature, group))
     reasons = {k: f": {match.text}" for k, match in by_place.items() if match.paint is None}
     unpaired_references = tuple(
         f"{reference.name} ({reference.instrument}{reasons.get(k, '')})"
@@ -1437,43 +1469,6 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
                 code="reference-ambiguous",
             )
     return [k for numbers in matches.values() for k in numbers]
-
-
-def _named_pairs(
-    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
-) -> dict[str, tuple[str, ...]]:
-    SchemaError.raise_if(
-        not isinstance(pairs, Mapping),
-        f"pairs is {type(pairs).__name__}",
-        expected="a mapping from names of paints to names of references",
-        code="type-wrong",
-    )
-    problems = Problems("pairs= cannot be used", SchemaError)
-    paints = {signature.name for signature in signatures}
-    known_names = frozenset[str]().union(
-        *(rank for reference in references for rank in reference.names.ranks)
-    )
-    names_of_paint: dict[str, tuple[str, ...]] = {}
-    for paint, value in pairs.items():
-        names = (value,) if isinstance(value, str) else tuple(value)
-        problems.add_if(
-            paint not in paints,
-            f"there is no paint {paint!r}",
-            expected=_listed(sorted(paints)),
-            code="paint-unknown",
-        )
-        problems.extend(
-            Problem(
-                f"there is no reference {name!r} for {paint!r}",
-                expected=_listed([reference.name for reference in references]),
-                code="reference-unknown",
-            )
-            for name in names
-            if name not in known_names
-        )
-        names_of_paint[str(paint)] = names
-    problems.raise_if_any()
-    return names_of_paint
 
 
 def _listed(names: Sequence[str]) -> str:
