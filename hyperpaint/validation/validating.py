@@ -1610,11 +1610,14 @@ class Compared:
             ]
         if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
             return []
-        text = (
-            f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in the "
-            "reference; a clear coat mirrors 0.04 times the share of skylight; see remove_mirrored_sky"
-        )
-        return [("mirrored-sky-differs", text)]
+        return [
+            (
+                "mirrored-sky-differs",
+                f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in "
+                "the reference; a clear coat mirrors 0.04 times the share of skylight; see "
+                "remove_mirrored_sky",
+            )
+        ]
 
     def notes(self) -> tuple[str, ...]:
         # Return remarks for the reader of the result
@@ -1634,9 +1637,6 @@ class Compared:
             ),
             (self.bands is not signature, "the signature was resampled to the reference's bands"),
         )
-        notes = [note for reference in references for note in reference.notes]
-        notes += [f"signature: {note}" for note in signature.notes]
-        notes += [text for applies, text in remarks if applies]
         narrow = np.any(
             [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
         )
@@ -1644,10 +1644,15 @@ class Compared:
             "not covered completely, or without a value": ~self.used & ~narrow,
             "narrower than the other spectrum resolves": ~self.used & narrow,
         }
-        notes += [
-            f"excluded of {self.used.size} bands: {int(excluded.sum())} {reason}"
-            for reason, excluded in reasons.items()
-            if excluded.any()
+        notes = [
+            *(note for reference in references for note in reference.notes),
+            *(f"signature: {note}" for note in signature.notes),
+            *(text for applies, text in remarks if applies),
+            *(
+                f"excluded of {self.used.size} bands: {int(excluded.sum())} {reason}"
+                for reason, excluded in reasons.items()
+                if excluded.any()
+            ),
         ]
         is_absolute = signature.absolute
         if any(reference.absolute != is_absolute for reference in references):
@@ -1662,11 +1667,11 @@ class Compared:
         }
         if unknown := [side for side, is_known in has_uncertainty.items() if not is_known]:
             notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
-        notes += [f"uncertainty of the signature: {text}" for text in signature.gaps()]
-        notes += [
+        of_signature = (f"uncertainty of the signature: {text}" for text in signature.gaps())
+        of_references = (
             f"uncertainty of the reference: {text}" for spectrum in references for text in spectrum.gaps()
-        ]
-        return tuple(dict.fromkeys(notes))
+        )
+        return tuple(dict.fromkeys([*notes, *of_signature, *of_references]))
 
     @property
     def scatter(self) -> float:
@@ -1993,17 +1998,16 @@ def validate(
         for first, second in itertools.combinations(same_paint, 2)
     ]
     between = [comparison for comparison in between if comparison.used.any()]
-    problems = Problems("pairs have no band in common", SchemaError)
-    problems.extend(
-        Problem(
-            f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
-            f"({comparison.ranges})",
-            code="range-disjoint",
+    with Problems("pairs have no band in common", SchemaError) as problems:
+        problems.extend(
+            Problem(
+                f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
+                f"({comparison.ranges})",
+                code="range-disjoint",
+            )
+            for comparison in compared
+            if not comparison.used.any()
         )
-        for comparison in compared
-        if not comparison.used.any()
-    )
-    problems.raise_if_any()
     # a text where repeated readings scatter by more than the tolerance of their mean
     scatters: list[list[str]] = []
     for comparison in compared:
@@ -2014,13 +2018,15 @@ def validate(
             f"{limit:.2g}; check whether they show one paint"
         )
         scatters.append([text] if comparison.scatter > limit else [])
-    messages = [message for comparison in compared for message in comparison.warnings()]
-    messages += [
-        ("reference-scatter", f"{comparison.pair.signature.name}: {text}")
-        for comparison, texts in zip(compared, scatters, strict=True)
-        for text in texts
+    messages = [
+        *(message for comparison in compared for message in comparison.warnings()),
+        *(
+            ("reference-scatter", f"{comparison.pair.signature.name}: {text}")
+            for comparison, texts in zip(compared, scatters, strict=True)
+            for text in texts
+        ),
+        *(("references-exchanged", text) for text in _exchanged(compared)),
     ]
-    messages += [("references-exchanged", text) for text in _exchanged(compared)]
     between_instruments = None
     if between:
         between_instruments = Validation(
@@ -2112,27 +2118,26 @@ def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
 def _limits(tolerance: Any) -> dict[str, float]:
     limits = {"rmse": tolerance} if tolerance is not None else TOLERANCE
     limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
-    problems = Problems("tolerance= cannot be used", SchemaError)
-    for name, limit in limits.items():
-        one_of(name, (RELATIVE, FLOOR, *STATISTICS), "statistic", problems=problems)
+    with Problems("tolerance= cannot be used", SchemaError) as problems:
+        for name, limit in limits.items():
+            one_of(name, (RELATIVE, FLOOR, *STATISTICS), "statistic", problems=problems)
+            problems.add_if(
+                isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0,
+                f"{name}: {limit!r}",
+                expected="a number from 0 on",
+                code="value-out-of-range",
+            )
         problems.add_if(
-            isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0,
-            f"{name}: {limit!r}",
-            expected="a number from 0 on",
-            code="value-out-of-range",
+            not limits, "no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing"
         )
-    problems.add_if(
-        not limits, "no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing"
-    )
-    if RELATIVE in limits:
-        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
-    elif FLOOR in limits:
-        problems.add(
-            "floor is added to a share of the paint's level",
-            mend="pass relative as well, such as 0.05",
-            code="option-conflict",
-        )
-    problems.raise_if_any()
+        if RELATIVE in limits:
+            limits.setdefault(FLOOR, TOLERANCE[FLOOR])
+        elif FLOOR in limits:
+            problems.add(
+                "floor is added to a share of the paint's level",
+                mend="pass relative as well, such as 0.05",
+                code="option-conflict",
+            )
     return {name: float(limit) for name, limit in limits.items()}
 
 
@@ -2145,9 +2150,8 @@ def _statistics(
 ) -> xr.Dataset:
     # Statistics of every pair and part; `user_parts`: whether the user named the parts
     shape = len(compared), len(parts)
-    statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
-    statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
-    statistics |= {"coverage": np.full(shape, np.nan), "level": np.full(shape, np.nan)}
+    names = (*STATISTICS, *(f"{name}_u" for name in STATISTICS), "coverage", "level")
+    statistics = {name: np.full(shape, np.nan) for name in names}
     bands, excluded_bands = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     for row, comparison in enumerate(compared):
         for column, edges in enumerate(parts.values()):
@@ -2168,9 +2172,8 @@ def _statistics(
                     statistics[f"{name}_u"][row, column] = value
     statistics["rmse_limit"] = _rmse_limit(limits, statistics["level"])
     dims = ("pair", "part")
-    variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in statistics.items()}
-    variables["bands"] = (dims, bands, _attrs("bands"))
-    variables["bands_left_out"] = (dims, excluded_bands, _attrs("bands_left_out"))
+    arrays = {**statistics, "bands": bands, "bands_left_out": excluded_bands}
+    variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in arrays.items()}
     too_dark = (
         statistics["rmse_limit"] > MAX_TOLERANCE_SHARE * statistics["level"] if RELATIVE in limits else False
     )
@@ -2215,9 +2218,10 @@ def _statistics(
     coords: dict[str, Any] = {
         name: ("pair", np.array(column, object), {"long_name": MEANINGS[name]})
         for name, column in texts.items()
+    } | {
+        "overlap_matched": ("pair", matched, {"long_name": MEANINGS["overlap_matched"]}),
+        "part": np.array(list(parts), object),
     }
-    coords["overlap_matched"] = ("pair", matched, {"long_name": MEANINGS["overlap_matched"]})
-    coords["part"] = np.array(list(parts), object)
     for name, end in (("first_wavelength", 0), ("last_wavelength", 1)):
         coords[name] = ("part", np.array([edges[end] for edges in parts.values()], np.float64), _attrs(name))
     return xr.Dataset(variables, coords, {"title": "Agreement of paint signatures with references"})
