@@ -206,8 +206,10 @@ def write_report(
         on_line = [row for row in paints if row[0] in ("", name, name.rpartition("/")[2])]
         detect = partial(flagged, sun_zenith=sun_zenith, progress=share) if flags else None
         sections.append((name, _line_parts(line, max_lines, on_line, cards, detect)))
-    sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
-    sections += [(name, library_section(paints)) for name, paints in libraries.items()]
+    sections += [
+        *((name, map_section(group, max_lines)) for name, group in maps.items()),
+        *((name, library_section(paints)) for name, paints in libraries.items()),
+    ]
     if has_validation:
         known = {} if library is None or validation is None else {as_path(library).name: validation}
         sections.append(("validation", validation_section(libraries, references, known)))
@@ -267,7 +269,20 @@ def _line_parts(
             values = line.variables[name]._data if name in line.variables else None
             if isinstance(values, np.ndarray):
                 release(values)
-    yield from card_parts(line, [(library, paint) for _, library, paint, _ in paints], cards)
+    # the cards of the paints measured on the line; libraries are loaded once for all cards, without the
+    # variables that a card does not show
+    loaded = {
+        id(library): library.drop_vars(HIDDEN_VARIABLES, errors="ignore").load()
+        for _, library, _, _ in paints[:cards]
+    }
+    for number, (_, library, paint, _) in enumerate(paints[:cards]):
+        heading = "" if number else "Paint by paint"
+        caption = f"{paint}: its region, the pixels used, and its signature."
+        draw = partial(paint_card, line, loaded[id(library)], paint)
+        yield f"card of {paint}", partial(_drawn, draw, caption, heading, "wide card")
+    if len(paints) > cards:
+        text = f"and {len(paints) - cards} more paints, without a card"
+        yield "more cards", partial(page_part, "paragraph", text=text)
 
 
 # --- the page ----------------------------------------------------------------------------------------------
@@ -436,25 +451,6 @@ def line_section(
     yield from ((name, draw) for is_there, name, draw in rows if is_there)
 
 
-def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
-    # Yield the cards of the paints measured on a flight line, at most ``most`` of them.
-    #
-    # ``cards`` are pairs of a library and the name of one of its paints.
-    # once for all cards, without the variables that a card does not show
-    loaded = {
-        id(library): library.drop_vars(HIDDEN_VARIABLES, errors="ignore").load()
-        for library, _ in cards[:most]
-    }
-    for number, (library, paint) in enumerate(cards[:most]):
-        heading = "" if number else "Paint by paint"
-        caption = f"{paint}: its region, the pixels used, and its signature."
-        draw = partial(paint_card, line, loaded[id(library)], paint)
-        yield f"card of {paint}", partial(_drawn, draw, caption, heading, "wide card")
-    if len(cards) > most:
-        text = f"and {len(cards) - most} more paints, without a card"
-        yield "more cards", lambda: page_part("paragraph", text=text)
-
-
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
     # Yield the parts of a map's section; its picture has at most ``rows`` rows.
     step = max(1, -(-orthomap.sizes["y"] // rows))
@@ -529,8 +525,12 @@ def _reflectance(line: xr.Dataset) -> Markup:
     sample = line.isel({ALONG_TRACK: slice(None, None, step)})
     draw_spread(axes, sample if "reflectance" in sample else reflectance(sample))
     every = "all lines" if step == 1 else f"one line in {step}"
-    caption = f"Spread of reflectance over the pixels of {every}, band by band."
-    return figure_part(axes.figure, caption, "Reflectance", kind="chart half")
+    return figure_part(
+        axes.figure,
+        f"Spread of reflectance over the pixels of {every}, band by band.",
+        "Reflectance",
+        kind="chart half",
+    )
 
 
 def _table_of_flags(quality: Array, heading: str) -> Markup:
@@ -540,8 +540,12 @@ def _table_of_flags(quality: Array, heading: str) -> Markup:
     rows = [
         (flag_label(flag), np.count_nonzero(quality & int(flag)), share) for flag, share in shares.items()
     ]
-    unflagged = f"{100 * float((quality == 0).mean()):.2f} % of {quality.size} pixels have no flag."
-    return page_part("flags", rows=rows, unflagged=unflagged, heading=heading)
+    return page_part(
+        "flags",
+        rows=rows,
+        unflagged=f"{100 * float((quality == 0).mean()):.2f} % of {quality.size} pixels have no flag.",
+        heading=heading,
+    )
 
 
 def library_section(library: xr.Dataset) -> Iterator[Part]:
@@ -552,8 +556,13 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
     yield from (("variables", partial(_raise, problem)) for problem in problems)
-    caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
-    yield "spectra", lambda: figure_part(library_overview(usable), caption)
+    yield (
+        "spectra",
+        lambda: figure_part(
+            library_overview(usable),
+            "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint.",
+        ),
+    )
     if "reflectance_u_random" in usable.variables:
         yield "uncertainty", partial(_chart, "uncertainty", usable)
     yield "paints", lambda: _table_of_paints(usable)
@@ -575,8 +584,13 @@ def _refusals(refused: Sequence[str]) -> Markup:
     for key, found in sorted(places.items(), key=lambda pair: -len(pair[1])):
         more = f" and {len(found) - MAX_PLACES} more" if len(found) > MAX_PLACES else ""
         rows.append((len(found), reasons[key], "; ".join(found[:MAX_PLACES]) + more))
-    heading = f"Refused regions: {len(refused)}"
-    return page_part("table", heads=("regions", "reason", "where"), rows=rows, numbers=1, heading=heading)
+    return page_part(
+        "table",
+        heads=("regions", "reason", "where"),
+        rows=rows,
+        numbers=1,
+        heading=f"Refused regions: {len(refused)}",
+    )
 
 
 def _raise(problem: str) -> Markup:
@@ -619,9 +633,8 @@ def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
     # Yield flight line, name and region of the paints of a library.
     #
     # Regions on a map, and invalid regions in libraries of other programs, are left out.
-    if not {"region", "flightline"} <= set(library.variables):
-        return
-    if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
+    in_sensor = library.attrs.get("coordinates_of_regions", "sensor") == "sensor"
+    if not in_sensor or not {"region", "flightline"} <= set(library.variables):
         return
     columns = (library[name].values for name in ("flightline", SIGNATURE, "region"))
     for flightline, paint, geojson in list(zip(*columns, strict=True))[:MAX_ROWS]:
@@ -634,8 +647,12 @@ def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_bands(calibration)))
     # a calibration from files has no lamp lines of a lab sweep
     if "line_centre" in calibration.variables:
-        caption = "Lamp lines of the lab sweep and the calibration from them."
-        yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)
+        yield (
+            "lab sweep",
+            lambda: figure_part(
+                calibration_report(calibration), "Lamp lines of the lab sweep and the calibration from them."
+            ),
+        )
     elif "radiance_gain" in calibration.variables:
         yield "gain and smile", partial(_gain, calibration)
     yield "provenance", partial(_provenance, calibration.attrs)
@@ -689,8 +706,12 @@ def _drawn(draw: Callable[[], Any], caption: str, heading: str = "", kind: str =
 def _gain(calibration: xr.Dataset) -> Markup:
     figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
     draw_gain(figure, calibration)
-    caption = "Gain and width of every band, and wavelength shift over the columns."
-    return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
+    return figure_part(
+        figure,
+        "Gain and width of every band, and wavelength shift over the columns.",
+        "Gain, width and smile",
+        kind="chart wide",
+    )
 
 
 def _provenance(attrs: Mapping[Any, Any]) -> Markup:
@@ -777,10 +798,13 @@ def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 def _checks(attrs: Mapping[Any, Any]) -> Markup:
     # judgements of the inputs by their result, and findings that were accepted
-    rows = [("accepted", text, "") for text in attrs.get("accepted_findings", ())]
-    rows += [("passed", *text.split("; expected ")) for text in attrs["passed_checks"]]
-    heads = ("", "found", "expected")
-    return page_part("table", heads=heads, rows=rows, numbers=0, heading="Checks of the inputs")
+    rows = [
+        *(("accepted", text, "") for text in attrs.get("accepted_findings", ())),
+        *(("passed", *text.split("; expected ")) for text in attrs["passed_checks"]),
+    ]
+    return page_part(
+        "table", heads=("", "found", "expected"), rows=rows, numbers=0, heading="Checks of the inputs"
+    )
 
 
 def _alignment(attrs: Mapping[Any, Any]) -> Markup:
@@ -804,8 +828,12 @@ def _pairs(agreement: Validation) -> Markup:
         names = [str(pair[name].item()) for name in ("signature", "reference", "instrument")]
         numbers = [f"{float(part[name]):.4f}" for name in ("rmse", "rmse_limit", "scale")]
         rows.append((*numbers, *names, "pass" if bool(pair["passes"].all()) else "FAIL"))
-    heads = ("RMSE", "limit", "scale", "paint", "reference", "instrument", "")
-    return page_part("table", heads=heads, rows=rows, numbers=3)
+    return page_part(
+        "table",
+        heads=("RMSE", "limit", "scale", "paint", "reference", "instrument", ""),
+        rows=rows,
+        numbers=3,
+    )
 
 
 def validation_section(
@@ -820,8 +848,14 @@ def validation_section(
             yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
             continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
-        caption = "Signatures over their references, and the differences with their standard uncertainty."
-        yield "agreement", partial(_drawn, partial(validation_figure, agreement, columns=4), caption)
+        yield (
+            "agreement",
+            partial(
+                _drawn,
+                partial(validation_figure, agreement, columns=4),
+                "Signatures over their references, and the differences with their standard uncertainty.",
+            ),
+        )
         yield "pairs", partial(_pairs, agreement)
         lines = agreement.table().splitlines()
         yield "statistics", partial(page_part, "preformatted", lines=lines, summary="All statistics")
@@ -955,7 +989,27 @@ def write_site(
             if flags and link is None and name in groups.lines:
                 group, note = flagged(group, None, None)
                 notes[name] = "" if group is not groups.lines[name] else note
-            variables = _page_variables(group, stored=link is not None)
+            # with ``link``, reflectance is not computed from counts
+            if "reflectance" not in group.variables:
+                StoreError.raise_if(
+                    link is not None,
+                    "the line holds no reflectance for the page to read",
+                    mend="leave out link",
+                    option="leave out --link",
+                    code="variable-missing",
+                )
+                group = reflectance(group, keep_bits=KEPT_BITS)
+            dims = group["reflectance"].dims
+            SchemaError.raise_if(
+                "wavelength" not in group.variables or len(dims) != 3,
+                f"reflectance {dims}",
+                expected="lines, columns and bands, with wavelengths",
+                code="dim-missing",
+            )
+            shown_names = [name for name in group.variables if name in _SHOWN_VARIABLES or name in dims]
+            variables = group.reset_coords()[shown_names].set_coords(
+                [name for name in shown_names if name not in ("reflectance", "quality")]
+            )
             picture, places = _picture(variables, group, max_lines)
             file = f"pictures/{len(pictures)}.png"  # the name of a group may be no valid file name
             shown[path], pictures[file] = variables, picture
@@ -1019,28 +1073,6 @@ def write_site(
         tuple(name for name in names if name not in unreadable) for names in (groups.lines, groups.maps)
     ]
     return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(problems))
-
-
-def _page_variables(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
-    # with ``stored``, reflectance is not computed from counts
-    if "reflectance" not in group.variables:
-        StoreError.raise_if(
-            stored,
-            "the line holds no reflectance for the page to read",
-            mend="leave out link",
-            option="leave out --link",
-            code="variable-missing",
-        )
-        group = reflectance(group, keep_bits=KEPT_BITS)
-    dims = group["reflectance"].dims
-    SchemaError.raise_if(
-        "wavelength" not in group.variables or len(dims) != 3,
-        f"reflectance {dims}",
-        expected="lines, columns and bands, with wavelengths",
-        code="dim-missing",
-    )
-    names = [name for name in group.variables if name in _SHOWN_VARIABLES or name in dims]
-    return group.reset_coords()[names].set_coords([n for n in names if n not in ("reflectance", "quality")])
 
 
 def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Picture, dict[str, Any]]:

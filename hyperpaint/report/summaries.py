@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, schema
+from hyperpaint.base import (
+    ALONG_TRACK,
+    BAND,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    TIME_UNITS,
+    schema,
+)
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.light.daylight_colours import srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
@@ -138,7 +145,7 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
     # Stores of hyperpaint hold times as 64-bit counts of nanoseconds. Times of other programs are decoded by
     # xarray, which imports dask and pint and takes longer than the rest of a summary.
     coded = {name: var for name, var in dataset.variables.items() if " since " in str(var.attrs.get("units"))}
-    if any(var.attrs["units"] != _STORED_TIMES or var.dtype != np.int64 for var in coded.values()):
+    if any(var.attrs["units"] != TIME_UNITS or var.dtype != np.int64 for var in coded.values()):
         return xr.decode_cf(dataset, mask_and_scale=False)
     times = {
         name: xr.Variable(var.dims, var.values.view("M8[ns]"), fastpath=True) for name, var in coded.items()
@@ -155,7 +162,6 @@ def size_of(count: int) -> str:
     return f"{count} bytes" if size is None else f"{count / size:.1f} {units[size]}"
 
 
-_STORED_TIMES = "nanoseconds since 1970-01-01"
 _MAX_READ_BYTES = 8 * 2**20
 _MAX_NAMES = 40
 
@@ -193,8 +199,17 @@ def summary_html(dataset: xr.Dataset, methods: str) -> str:
     # read. Texts of the dataset are escaped.
     title, facts = _summary(dataset, methods)
     src = _attempt(lambda: _picture_of(dataset), "")  # empty for a dataset without lines or columns
-    content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
-    return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
+    return str(
+        page_part(
+            "summary",
+            title=title,
+            pairs=facts,
+            src=src,
+            style=_STYLE,
+            cell_style=_CELL,
+            paints=_attempt(lambda: _swatches(dataset), []),
+        )
+    )
 
 
 def _picture_of(dataset: xr.Dataset) -> str:
