@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import (
+    ANGLES,
     BAND,
     CROSS_TRACK,
     IRRADIANCE_TIME,
@@ -248,8 +249,12 @@ def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
         logs = np.log(np.where(reflectance > 0.0, reflectance, np.nan))[:, order]
     jumps = logs[:, 1:-1] - 0.5 * (logs[:, :-2] + logs[:, 2:])
     (first, last), (low, high), centre = RULES.jump_nm, RULES.not_judged_nm, nm[1:-1]
-    is_judged = (centre > first) & (centre < last) & ~((centre > low) & (centre < high))
-    is_judged &= np.isfinite(jumps).mean(axis=(0, 2)) > 0.5
+    is_judged = (
+        (centre > first)
+        & (centre < last)
+        & ~((centre > low) & (centre < high))
+        & (np.isfinite(jumps).mean(axis=(0, 2)) > 0.5)
+    )
     spacing = float(np.median(np.diff(nm)))
     if not is_judged.any() or spacing > RULES.widest_nm:
         return
@@ -276,8 +281,11 @@ def _gain(product: Product) -> Iterator[Verdict]:
     slope, u = _regressed(scene, _pattern(response), weight)
     if not math.isfinite(slope):
         return
-    orders = {"its bands reversed": response[::-1], "its columns reversed": response[:, ::-1]}
-    orders |= {f"its bands shifted by {k}": np.roll(response, k, axis=0) for k in (-3, -2, -1, 1, 2, 3)}
+    orders = {
+        "its bands reversed": response[::-1],
+        "its columns reversed": response[:, ::-1],
+        **{f"its bands shifted by {k}": np.roll(response, k, axis=0) for k in (-3, -2, -1, 1, 2, 3)},
+    }
     passes = slope > RULES.foreign_slope or slope + RULES.significance * u > RULES.foreign_slope + 0.3
     found, kind = f"{slope:.2f} +- {u:.2f} of the gain's pattern is in the scene", "gain-pattern"
     for order, values in {} if passes else orders.items():
@@ -915,7 +923,6 @@ RECORD_RULES = SimpleNamespace(
     # Accepted share of lines without a position or angle [1].
     gap_share=0.2,
 )
-_ANGLES = ("roll", "pitch", "heading")
 
 
 def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
@@ -990,9 +997,12 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
         for key in ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
         if key in line.coords
     }
-    gaps = {key: float(np.mean(~np.isfinite(values))) for key, values in pose.items()}
     # angles that were never measured are not gaps: functions that need them raise their own error
-    gaps = {key: share for key, share in gaps.items() if share < 1.0 or key not in _ANGLES}
+    gaps = {
+        key: float(np.mean(~np.isfinite(values)))
+        for key, values in pose.items()
+        if key not in ANGLES or np.isfinite(values).any()
+    }
     if max(gaps.values()) > RECORD_RULES.gap_share:
         shares = ", ".join(
             f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RECORD_RULES.gap_share
@@ -1009,7 +1019,7 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
     north, east = np.radians(pose["latitude"][located]), np.radians(pose["longitude"][located])
     metres = 6.371e6 * np.stack([north, east * math.cos(float(north.mean()))])
     extent = float(np.hypot(*np.ptp(metres, axis=1)))
-    angles = [pose[key][located] for key in _ANGLES if key in pose]
+    angles = [pose[key][located] for key in ANGLES if key in pose]
     finite = [values[np.isfinite(values)] for values in angles]
     turn = max((float(np.ptp(np.unwrap(angle, period=360.0))) for angle in finite if angle.size), default=0.0)
     repeat_share = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
@@ -1112,8 +1122,7 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
     for start in range(0, rows.shape[0] - 1, FRAME_RULES.block):
         values = rows[start : start + FRAME_RULES.block + 1].to_numpy()
         shares.append((values[1:] == values[:-1]).mean(axis=(1, 2)))
-    equal_shares = np.concatenate(shares) if shares else np.zeros(0)
-    equal_shares = equal_shares[recorded[1:] & recorded[:-1]]
+    equal_shares = np.concatenate([*shares, np.zeros(0)])[recorded[1:] & recorded[:-1]]
     doubled = equal_shares == 1.0
     if not doubled.any():
         return
@@ -1370,12 +1379,11 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
     freedom = scene.size - DARK_RULES.lit_degree - 2
     u = math.sqrt(float(np.sum((whole - slope * scene) ** 2)) / freedom / size)
     rest = np.nanmean(columns, axis=1) - slope * light[finite]
-    if not DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most or slope < DARK_RULES.lit_sds * u:
+    is_significant = DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most and slope >= DARK_RULES.lit_sds * u
+    if not is_significant or min(first, second) < 0.4 * slope:  # light of the scene is in all columns
         return
-    if min(first, second) < 0.4 * slope:
-        return  # light of the scene is in all columns
-    is_clear = slope > max(DARK_RULES.lit_refused, DARK_RULES.lit_refused_sds * u)
-    is_clear &= float(np.ptp(light[finite])) > DARK_RULES.lit_range * float(np.ptp(rest))
+    has_range = float(np.ptp(light[finite])) > DARK_RULES.lit_range * float(np.ptp(rest))
+    is_clear = has_range and slope > max(DARK_RULES.lit_refused, DARK_RULES.lit_refused_sds * u)
     yield Finding(
         KINDS["dark-lit" if is_clear else "dark-faintly-lit"],
         name,
@@ -1480,16 +1488,16 @@ def judge_line(
 
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
     # Judge the frames of a dark cube.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # already given when the dark was opened
+    # already given when the dark was opened
+    with warnings.catch_warnings(action="ignore", category=PaintWarning):
         counts = open_envi(path, unsaid="counts")["counts"]
     yield from judge_dark_frames(f"{path.parent.name}/{path.name}", counts)
 
 
 def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]:
     name = str(inputs.name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # already given when the line was opened
+    # already given when the line was opened
+    with warnings.catch_warnings(action="ignore", category=PaintWarning):
         dataset = open_envi(
             inputs.path, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity, unsaid="counts"
         )
@@ -1505,8 +1513,8 @@ def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]
     sample = sample_cube(cube, recorded)
     # a cube with a wrong layout cannot be checked further
     if sample is not None and not layout:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # bands without a gain have no mean
+        # bands without a gain have no mean
+        with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
             findings = list(_judge_sample(name, line, inputs, sample))
         yield from findings
 
