@@ -194,9 +194,16 @@ def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
     if geometry.get("look_angle") is not None:
         path, columns = geometry["look_angle"], line.sizes[CROSS_TRACK]
         # angle of every column, positive to the right [degree]
-        content = "a text file with the angle of every column, positive to the right [degree]"
         cells = numbers(
-            decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content)).replace(",", " ").split()
+            decoded_text(
+                read_limited_text(
+                    path,
+                    _MAX_ANGLE_FILE_BYTES,
+                    "a text file with the angle of every column, positive to the right [degree]",
+                )
+            )
+            .replace(",", " ")
+            .split()
         )
         found = "words" if cells is None else f"{len(cells)} numbers"
         FormatError.raise_if(
@@ -277,8 +284,8 @@ def _panel_findings(line: xr.Dataset) -> Iterator[Finding]:
         texts = [
             str(each.message) for each in caught if getattr(each.message, "code", "") == "panel-doubtful"
         ]
-        is_other = max(factor, 1.0 / factor) > RULES.most_factor
-        is_other &= line.attrs.get("absolute_scale") != "unknown"
+        has_scale = line.attrs.get("absolute_scale") != "unknown"
+        is_other = has_scale and max(factor, 1.0 / factor) > RULES.most_factor
         kind = KINDS["panel-level" if is_other else "panel-doubtful"]
         found = texts[0].rpartition(" [")[0] if texts else f"a panel measures {factor:.3f} of its certificate"
         yield Finding(kind, name, found, "1 within its uncertainty", passes=not texts)

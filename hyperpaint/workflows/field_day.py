@@ -29,6 +29,7 @@ from hyperpaint.base import (
     CollectError,
     PaintError,
     Problems,
+    Progress,
     SchemaError,
     StoreError,
     as_path,
@@ -125,33 +126,54 @@ def write_signatures(
         )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     outlines = None if regions is None else regions_from(regions)
-    lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
+    requested = () if outlines is None else outlines.flightlines
+    # opened lines by name, and the names of lines that have flags
+    names, datasets = lines_of_store(store), {}
+    if list_groups(store) == [""]:
+        dataset = open_store(store)
+        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
+            datasets[str(dataset.attrs.get("name", ""))] = dataset
+    for name in names if not requested or not set(requested) <= set(names) else requested:
+        datasets[name] = open_store(store, f"{LINES}{name}")
+    StoreError.raise_if(
+        not datasets,
+        f"{store} holds no flight line",
+        expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
+        code="flightline-missing",
+    )
+    lines, flagged = {}, set()
+    for name, line in datasets.items():
+        # check the stored flags: computed flags would need all counts
+        if is_flagged(line):
+            flagged.add(name)
+        if "counts" in line.variables:
+            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
+        lines[name] = line
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         # Locate the lines, unless location does not apply
         location = location or {}
-        problems = Problems("signatures cannot be extracted", SchemaError)
-        problems.add_if(
-            maps and outlines is None,
-            "regions are proposed on flight lines, not on a map",
-            mend="draw regions on the map",
-            code="regions-missing",
-        )
-        if location and maps:
-            problems.add(
-                "a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map"
+        with Problems("signatures cannot be extracted", SchemaError) as problems:
+            problems.add_if(
+                maps and outlines is None,
+                "regions are proposed on flight lines, not on a map",
+                mend="draw regions on the map",
+                code="regions-missing",
             )
-        elif location and (outlines is None or outlines.coordinates != "map"):
-            problems.add(
-                f"{', '.join(location)} need regions in map coordinates; "
-                "these regions are in sensor coordinates",
-                code="location-unused",
-            )
-        problems.raise_if_any()
+            if location and maps:
+                problems.add(
+                    "a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map"
+                )
+            elif location and (outlines is None or outlines.coordinates != "map"):
+                problems.add(
+                    f"{', '.join(location)} need regions in map coordinates; "
+                    "these regions are in sensor coordinates",
+                    code="location-unused",
+                )
         lines = {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
     # thresholds of the caller need flags of their own; proposals need the survey, which stores do not hold
     is_set = flags is not False and (flags is not True or sun_zenith is not None)
-    stored = frozenset() if is_set else flagged_lines
+    stored = frozenset() if is_set else frozenset(flagged)
     kept = stored if outlines is not None else frozenset()
     lamp_lit = {name for name, line in lines.items() if is_lamp_lit(line)}
     without_flags = kept | maps | (lamp_lit if sun_zenith is None else set())
@@ -199,35 +221,6 @@ def write_signatures(
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, as_path(out), overwrite=overwrite)
     return library
-
-
-def _open_lines(
-    store: str | os.PathLike[str], requested: tuple[str, ...]
-) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    # opened lines by name, and the names of lines that have flags
-
-    names, datasets = lines_of_store(store), {}
-    if list_groups(store) == [""]:
-        dataset = open_store(store)
-        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
-            datasets[str(dataset.attrs.get("name", ""))] = dataset
-    for name in names if not requested or not set(requested) <= set(names) else requested:
-        datasets[name] = open_store(store, f"{LINES}{name}")
-    StoreError.raise_if(
-        not datasets,
-        f"{store} holds no flight line",
-        expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
-        code="flightline-missing",
-    )
-    lines, flagged = {}, set()
-    for name, line in datasets.items():
-        # check the stored flags: computed flags would need all counts
-        if is_flagged(line):
-            flagged.add(name)
-        if "counts" in line.variables:
-            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
-        lines[name] = line
-    return lines, frozenset(flagged)
 
 
 def _propose(
@@ -376,13 +369,12 @@ def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
     pairs = []
     for row in range(table.sizes["pair"]):
         pair = table.isel(pair=row)
-        entry = {name: _json_value(pair[name].values.item()) for name in (*_PAIR_COLUMNS, *_OXYGEN)}
-        entry["notes"] = list(validation.notes[row])
-        entry["parts"] = {
+        parts = {
             str(part): {name: _json_value(pair[name].values[column].item()) for name in _names_by_part(table)}
             for column, part in enumerate(table["part"].values)
         }
-        pairs.append(entry)
+        entry = {name: _json_value(pair[name].values.item()) for name in (*_PAIR_COLUMNS, *_OXYGEN)}
+        pairs.append(entry | {"notes": list(validation.notes[row]), "parts": parts})
     return pairs
 
 
@@ -395,8 +387,6 @@ def _json_value(value: Any) -> Any:
 #: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
 #: products that another program wrote are replaced only on request.
 RECORD = "steps.json"
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -475,17 +465,16 @@ def run_field_day(
     --------
     >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
     """
-    problems = Problems("the field day cannot be run", SchemaError)
-    for name in skip:
-        if name == "process":
-            problems.add(
-                "skip='process', which all other steps need",
-                mend="call the functions of the other steps",
-                code="step-required",
-            )
-        else:
-            one_of(name, list(STEPS)[1:], "skip", problems=problems)
-    problems.raise_if_any()
+    with Problems("the field day cannot be run", SchemaError) as problems:
+        for name in skip:
+            if name == "process":
+                problems.add(
+                    "skip='process', which all other steps need",
+                    mend="call the functions of the other steps",
+                    code="step-required",
+                )
+            else:
+                one_of(name, list(STEPS)[1:], "skip", problems=problems)
     path = as_path(collect)
     if path.is_dir():
         path = path / "collect.toml"

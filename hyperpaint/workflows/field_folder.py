@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import (
     CROSS_TRACK,
     CollectError,
+    Floats,
     FormatError,
     PaintError,
     PaintWarning,
@@ -157,8 +157,12 @@ def find_field_files(
     and white references if it is called ``white``, ``WHITEREF_...``, ``whiteReference`` or similar.
     ASD files of a folder are irradiance or reflectance by the content of the first.
     """
-    copying = "copy its folder; a collect.toml may name files behind URLs"
-    folder = input_path(folder, "the folder of a flight", CollectError, copying)
+    folder = input_path(
+        folder,
+        "the folder of a flight",
+        CollectError,
+        "copy its folder; a collect.toml may name files behind URLs",
+    )
     notes: list[str] = []
     raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
     # spectra by the file or the pattern of files that names them in the collect.toml
@@ -209,7 +213,31 @@ def find_field_files(
     camera, sweep = _calibration(
         calibrations if calibration is None else [Path(calibration)], relative, notes
     )
-    spectra |= (named := _named_references(references))
+    # files of reference spectra outside the folder, by file or pattern; tables and exports singly
+    named: dict[Path, list[Path]] = {}
+    for place in map(Path, references):
+        if not place.exists() and is_pattern(str(place)):
+            named[place] = find_paths(place, list, _SPECTRA)
+            continue
+        CollectError.raise_if(
+            not place.exists(),
+            f"references {place}: no such file or folder",
+            mend="check the path",
+            code="file-not-found",
+        )
+        of_place: dict[Path, list[Path]] = {}
+        for path in _walk(place) if place.is_dir() else [place]:
+            in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
+            if in_folder or place.is_file() or path.suffix.lower() in SPECTRUM_SUFFIXES:
+                of_place.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
+        CollectError.raise_if(
+            not of_place,
+            f"references {place}: no spectra in this folder",
+            expected=_SPECTRA,
+            code="file-not-found",
+        )
+        named |= of_place
+    spectra |= named
     irradiance, instruments = _instruments(spectra, relative, notes)
     CollectError.raise_if(
         named and not {path for paths in instruments.values() for path in paths} & set(named),
@@ -246,8 +274,7 @@ def find_field_files(
 def _flight_cube(header: Path) -> FlightCube:
     exposure_s, lens, has_dark = None, None, False
     clock: tuple[str | None, float | None] = (None, None)
-    with contextlib.suppress(PaintError), warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)
+    with contextlib.suppress(PaintError), warnings.catch_warnings(action="ignore", category=PaintWarning):
         dataset = open_envi(header)
         clock, has_dark = recording_clock(dataset), "dark_lines" in dataset.attrs
         exposure = find_exposure(None, header, header.name, dataset, required=False)[0]
@@ -310,34 +337,6 @@ def _calibration(
     return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
 
-def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, list[Path]]:
-    # files of reference spectra outside the folder, by file or pattern; tables and exports singly
-    spectra: dict[Path, list[Path]] = {}
-    for place in map(Path, paths):
-        if not place.exists() and is_pattern(str(place)):
-            spectra[place] = find_paths(place, list, _SPECTRA)
-            continue
-        CollectError.raise_if(
-            not place.exists(),
-            f"references {place}: no such file or folder",
-            mend="check the path",
-            code="file-not-found",
-        )
-        of_place: dict[Path, list[Path]] = {}
-        for path in _walk(place) if place.is_dir() else [place]:
-            in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
-            if in_folder or place.is_file() or path.suffix.lower() in SPECTRUM_SUFFIXES:
-                of_place.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
-        CollectError.raise_if(
-            not of_place,
-            f"references {place}: no spectra in this folder",
-            expected=_SPECTRA,
-            code="file-not-found",
-        )
-        spectra |= of_place
-    return spectra
-
-
 def _instruments(
     spectra: dict[Path, list[Path]], relative: Callable[[Path], str], notes: list[str]
 ) -> tuple[list[Path], dict[str, list[Path]]]:
@@ -370,7 +369,7 @@ def _instruments(
     return irradiance, references
 
 
-def surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
+def surveyed_heights(path: Path) -> Floats:
     # heights above the ellipsoid [m]
 
     text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
@@ -392,16 +391,14 @@ def surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     ):
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
     FormatError.raise_if(not np.isfinite(heights).all(), "a height is not finite", code="not-finite")
-    problems = Problems("its heights cannot be used", FormatError)
-    metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
-    problems.raise_if_any()
+    with Problems("its heights cannot be used", FormatError) as problems:
+        metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
     return heights * metres
 
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
     # warnings are given when the files are opened for processing
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)
+    with warnings.catch_warnings(action="ignore", category=PaintWarning):
         return read_spectra(files, None)
 
 

@@ -125,8 +125,13 @@ def location_of(
     MissingExtraError
         ``dem`` needs rasterio (extra ``geo``).
     """
-    location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
-    location["clock_offset_s"] = clock_offset
+    location: dict[str, Any] = {
+        "ground": ground,
+        "boresight": boresight,
+        "lever_arm": lever_arm,
+        "crs": crs,
+        "clock_offset_s": clock_offset,
+    }
     if dem is not None:
         names = ("longitude", "latitude", "altitude")
         is_flown = set(names) <= set(flightline.variables)
