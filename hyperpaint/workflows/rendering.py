@@ -318,9 +318,56 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         name: reader.path("[spectra]", name, file) for name, file in values(reader.one("spectra")).items()
     }
     platform, camera = _flight(reader)
+    entries, names = [], []
+    for row, mesh_table in enumerate(reader.tables["meshes"]):
+        place, name = reader.place("meshes", row), mesh_table.get("name", f"mesh_{row + 1}")
+        for is_missing, mesh_key, mend in (
+            ("path" not in mesh_table["?"], "path", "name the file of its triangles"),
+            (
+                not mesh_table["?"] & {"spectrum", "materials"},
+                "spectrum",
+                "name a spectrum, or materials, part by part",
+            ),
+        ):
+            reader.problems.add_if(
+                is_missing, f"{place} {mesh_key} is missing", mend=mend, code="key-missing"
+            )
+        for part, material in mesh_table.get("materials", {}).items():
+            where = f"{place} materials.{part:.40}"
+            surface = {"spectrum": material} if isinstance(material, str) else material
+            if not isinstance(surface, dict) or "spectrum" not in surface:
+                reader.problems.add(
+                    f"{where} = {shown(material)}",
+                    expected="a spectrum, or a table with spectrum",
+                    mend="name its spectrum",
+                    code="type-wrong",
+                )
+                continue
+            for mesh_key, value in surface.items():
+                if mesh_key in MATERIAL:
+                    found = f"{where}.{mesh_key} = {shown(value)}"
+                    MATERIAL[mesh_key].note(reader.problems, found, value, MATERIAL[mesh_key].mend)
+                else:
+                    found = f"{where} unknown key {mesh_key[:40]!r}"
+                    reader.problems.add(found, mend=f"known are {', '.join(MATERIAL)}", code="key-unknown")
+        mesh_path = reader.path(place, "path", mesh_table.get("path"))
+        reader.problems.add_if(
+            name in names,
+            f"{place} name = {name!r} is the name of another mesh",
+            mend="give each its own name",
+            code="name-duplicate",
+        )
+        names.append(name)
+        if mesh_path is not None:
+            options = {
+                mesh_key: value
+                for mesh_key, value in values(mesh_table).items()
+                if mesh_key not in ("path", "name")
+            }
+            entries.append(MeshEntry(mesh_path, name, options))
     scene_file = SceneFile(
         path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
-        meshes=_meshes(reader), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
+        meshes=tuple(entries), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
         sampling=filled(SCHEMA["sampling"], reader.one("sampling")),
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
@@ -388,51 +435,6 @@ def _scene(reader: TableReader) -> dict[str, Any]:
 def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
     # Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat.
     return arguments_of(PARK, filled(PARK, scene))
-
-
-def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
-    entries, names = [], []
-    for row, table in enumerate(reader.tables["meshes"]):
-        place, name = reader.place("meshes", row), table.get("name", f"mesh_{row + 1}")
-        for is_missing, key, mend in (
-            ("path" not in table["?"], "path", "name the file of its triangles"),
-            (
-                not table["?"] & {"spectrum", "materials"},
-                "spectrum",
-                "name a spectrum, or materials, part by part",
-            ),
-        ):
-            reader.problems.add_if(is_missing, f"{place} {key} is missing", mend=mend, code="key-missing")
-        for part, material in table.get("materials", {}).items():
-            where = f"{place} materials.{part:.40}"
-            surface = {"spectrum": material} if isinstance(material, str) else material
-            if not isinstance(surface, dict) or "spectrum" not in surface:
-                reader.problems.add(
-                    f"{where} = {shown(material)}",
-                    expected="a spectrum, or a table with spectrum",
-                    mend="name its spectrum",
-                    code="type-wrong",
-                )
-                continue
-            for key, value in surface.items():
-                if key in MATERIAL:
-                    found = f"{where}.{key} = {shown(value)}"
-                    MATERIAL[key].note(reader.problems, found, value, MATERIAL[key].mend)
-                else:
-                    found = f"{where} unknown key {key[:40]!r}"
-                    reader.problems.add(found, mend=f"known are {', '.join(MATERIAL)}", code="key-unknown")
-        path = reader.path(place, "path", table.get("path"))
-        reader.problems.add_if(
-            name in names,
-            f"{place} name = {name!r} is the name of another mesh",
-            mend="give each its own name",
-            code="name-duplicate",
-        )
-        names.append(name)
-        if path is not None:
-            options = {key: value for key, value in values(table).items() if key not in ("path", "name")}
-            entries.append(MeshEntry(path, name, options))
-    return tuple(entries)
 
 
 def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -621,33 +623,32 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
     with contextlib.suppress(FormatError, OSError, ValueError, TypeError, KeyError):
         document = json.loads(read_limited(path.parent / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         records = {str(record["id"]): dict(record) for record in document["paints"]}
-    problems = Problems(f"{path} cannot be rendered", FormatError)
-    paints: dict[str, xr.Dataset] = {}
-    for material in read_materials(path):
-        file = material.emissivity_file or material.reflectance_file
-        if file is None:
-            problems.add(
-                f"material {material.name!r} without an emissivity or reflectance file",
-                code="material-without-file",
-            )
-        elif not (path.parent / file).is_file():
-            problems.add(
-                f"material {material.name!r}: no file {file!r} beside the list", code="file-not-found"
-            )
-        else:
-            paint, record = open_library(path.parent / file), records.get(str(material.id), {})
-            if coat := record.get("coat_reflectance", 0.0):  # curves of a BRDF include its coat
-                body = {name: paint[name] - np.float32(coat) for name in paint.data_vars}
-                paint = paint.assign({name: body[name].assign_attrs(paint[name].attrs) for name in body})
-            centre = path.parent / str(record.get("reflectance_file", file))
-            if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
-                curve = open_library(centre)
-                nm, centre_nm = paint["wavelength"].values, curve["wavelength"].values
-                if nm.shape == centre_nm.shape and np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
-                    values = curve["reflectance"].values
-                    paint = paint.assign(reflectance=(paint["reflectance"].dims, values, {"units": "1"}))
-            paints[str(record.get("paint", material.name))] = paint
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be rendered", FormatError) as problems:
+        paints: dict[str, xr.Dataset] = {}
+        for material in read_materials(path):
+            file = material.emissivity_file or material.reflectance_file
+            if file is None:
+                problems.add(
+                    f"material {material.name!r} without an emissivity or reflectance file",
+                    code="material-without-file",
+                )
+            elif not (path.parent / file).is_file():
+                problems.add(
+                    f"material {material.name!r}: no file {file!r} beside the list", code="file-not-found"
+                )
+            else:
+                paint, record = open_library(path.parent / file), records.get(str(material.id), {})
+                if coat := record.get("coat_reflectance", 0.0):  # curves of a BRDF include its coat
+                    body = {name: paint[name] - np.float32(coat) for name in paint.data_vars}
+                    paint = paint.assign({name: body[name].assign_attrs(paint[name].attrs) for name in body})
+                centre = path.parent / str(record.get("reflectance_file", file))
+                if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
+                    curve = open_library(centre)
+                    nm, centre_nm = paint["wavelength"].values, curve["wavelength"].values
+                    if nm.shape == centre_nm.shape and np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
+                        values = curve["reflectance"].values
+                        paint = paint.assign(reflectance=(paint["reflectance"].dims, values, {"units": "1"}))
+                paints[str(record.get("paint", material.name))] = paint
     return paints
 
 
@@ -1449,8 +1450,11 @@ def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -
     >>> painted_cars(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
     {'car_000': 'roof 8', 'car_001': 'roof 7', 'car_003': 'roof 7'}
     """
-    scene_names = {item.name for item in (*scene.materials, *scene.instances)}
-    scene_names |= {item.spectrum for item in scene.materials} | set(repaint.values())
+    scene_names = {
+        *(item.name for item in (*scene.materials, *scene.instances)),
+        *(item.spectrum for item in scene.materials),
+        *repaint.values(),
+    }
     new_paints = [name for name in names if name not in scene_names]
     cars = [
         item.name
