@@ -246,8 +246,12 @@ def check(ctx: click.Context, /, collect: Path, as_json: bool, **_options: Any) 
     if as_json:
         rows: dict[str, list[dict[str, str]]] = {"findings": [], "passed": []}
         for finding in judged:
-            facts = {"code": finding.kind.name, "line": finding.line}
-            facts |= {"found": finding.found, "expected": finding.expected}
+            facts = {
+                "code": finding.kind.name,
+                "line": finding.line,
+                "found": finding.found,
+                "expected": finding.expected,
+            }
             if not finding.passes:
                 state = "wrong" if finding.kind.refused else "doubtful"
                 facts |= {"kind": state, "likely_cause": finding.kind.meaning, "mend": finding.kind.mend}
@@ -898,6 +902,7 @@ def detect_paints(
 ) -> None:
     """Find the paints of a library in a flight line of a store, or in a map."""
     from hyperpaint.paints.signatures import EXCLUDED
+    from hyperpaint.validation.validating import aligned
 
     others, regions, line = (options.pop(name) for name in ("others", "regions", "line"))
     out = out or beside(store, "detections.zarr")
@@ -922,27 +927,6 @@ def detect_paints(
     hp.to_store(detections, out, overwrite=overwrite, progress=is_watched())
     detections = hp.open_store(out, "")
     detected = detections["detected"]
-    click.echo(f"{out}: {int(detected.sum())} of {detected.size} pixels\n{_detection_table(detections)}")
-    if regions is not None and (cars := _regions_of_line(regions, searched)):
-        table = hp.paints.detected_regions(detections, cars).to_dataframe().reset_index()
-        click.echo(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
-
-
-def _regions_of_line(path: Path, line: xr.Dataset) -> hp.Regions:
-
-    regions = hp.read_regions(path)
-    name = str(line.attrs.get("name", ""))
-    line_regions = tuple(region for region in regions if not name or region.flightline in ("", name))
-    if len(line_regions) < len(regions):
-        click.echo(
-            f"{path}: {len(regions) - len(line_regions)} of {len(regions)} regions are of other flight lines"
-        )
-    return hp.Regions(line_regions, regions.coordinates, regions.crs)
-
-
-def _detection_table(detections: xr.Dataset) -> str:
-    from hyperpaint.validation.validating import aligned
-
     numbers = detections["best_paint"].values[detections["detected"].values]
     rows = [
         (str(name), f"{count} pixels", f"threshold {threshold:.4g}", f"distance {limit:.3g} at the most")
@@ -961,7 +945,23 @@ def _detection_table(detections: xr.Dataset) -> str:
         f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background",
         f"excluded from the background, because a paint explains them: {share:.2g} of the pixels",
     )
-    return "\n".join(f"  {row}" for row in (*aligned(rows, names=4), *rows_below))
+    summary = "\n".join(f"  {row}" for row in (*aligned(rows, names=4), *rows_below))
+    click.echo(f"{out}: {int(detected.sum())} of {detected.size} pixels\n{summary}")
+    if regions is not None and (cars := _regions_of_line(regions, searched)):
+        table = hp.paints.detected_regions(detections, cars).to_dataframe().reset_index()
+        click.echo(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
+
+
+def _regions_of_line(path: Path, line: xr.Dataset) -> hp.Regions:
+
+    regions = hp.read_regions(path)
+    name = str(line.attrs.get("name", ""))
+    line_regions = tuple(region for region in regions if not name or region.flightline in ("", name))
+    if len(line_regions) < len(regions):
+        click.echo(
+            f"{path}: {len(regions) - len(line_regions)} of {len(regions)} regions are of other flight lines"
+        )
+    return hp.Regions(line_regions, regions.coordinates, regions.crs)
 
 
 _LISTED_PROPERTIES = ("finish", "colour", "srgb", "make", "model", "year")
@@ -1536,7 +1536,10 @@ def site(ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, 
     """
     page = hp.report.write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
     names = ", ".join(group.rpartition("/")[2] for group in (*page.flightlines, *page.maps)) or "paints"
-    look = f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000"
-    look = look if url_of(page.path) is None else "look at it: index.html, where the bucket is served by http"
+    look = (
+        f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000"
+        if url_of(page.path) is None
+        else "look at it: index.html, where the bucket is served by http"
+    )
     click.echo(f"{page.path}: {names}, {byte_size(page.path) / 1e6:.1f} MB\n{look}")
     end_with_problems(ctx, page.problems, "cannot be shown")
