@@ -10,7 +10,6 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy.typing as npt
 import pint
 import xarray as xr
 
@@ -348,7 +347,7 @@ class PaintAccessor:
         paints: Mapping[str, Any] | xr.Dataset | None = None,
         atmosphere: Atmosphere | str = "noon",
         spectra: Mapping[str, Any] | xr.Dataset | None = None,
-        variation: npt.ArrayLike | BrokenClouds | None = None,
+        variation: ArrayLike | BrokenClouds | None = None,
         truth: bool = True,
         clip: bool = False,
         hold_edges: bool | None = None,
