@@ -934,8 +934,7 @@ class Result:
         if self.between is not None and not (self.fits_no_model and not self.is_shape_free):
             # Scatter of the columns' median ripples like missed structure; twice that is significant. It is
             # its relative uncertainty, from differences of columns (step, column) [1]; differences that a
-            # column has at all steps are subtracted.
-            # of columns and steps that are all NaN
+            # column has at all steps are subtracted. Columns and steps that are all NaN would warn.
             with (
                 np.errstate(invalid="ignore", divide="ignore"),
                 warnings.catch_warnings(action="ignore", category=RuntimeWarning),

@@ -828,7 +828,7 @@ def _findings(setting: Setting) -> list[Finding]:
         return [*undecided, of_north(declared)]
     best = _nearest(scored, declared)
     nominal_height = median_altitude(best) - setting.view.ground
-    # Return the height above the ground [m] at which travel over ground is consistent with rotations.
+    # the height above the ground [m] at which travel over ground is consistent with rotations
     #
     # Shifts by rotation do not depend on the height, shifts by travel are proportional to its inverse. Travel
     # shows sideways where the platform drifts, by the wobble of its heading, and along the track by the

@@ -651,12 +651,12 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
             squares[:, number] = weight @ sky_fraction**2 / sums[:, None]
         # average over the other suns, without those near the sun of the clock
         log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
-        lowest_misfit = log.max(axis=1)
-        weights = np.exp(log - lowest_misfit[:, None])
+        best_log = log.max(axis=1)
+        weights = np.exp(log - best_log[:, None])
         sums = weights.sum(axis=1)
         weights = (weights / sums[:, None])[..., None]
         moments = (weights * mean).sum(axis=1), (weights * squares).sum(axis=1)
-        log, mean, mean_square = lowest_misfit + np.log(sums / _OTHER_SUNS_DEG.size), *moments
+        log, mean, mean_square = best_log + np.log(sums / _OTHER_SUNS_DEG.size), *moments
         log_other_sun = _window_means(log, evidence.seconds) + variation[:, KINDS.index("air")]
         log_clock_sun = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
         is_other_sun = 1.0 / (1.0 + np.exp(np.clip(log_clock_sun - log_other_sun, -500.0, 500.0)))[:, None]

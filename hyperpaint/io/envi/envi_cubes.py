@@ -740,6 +740,7 @@ class EnviArray(BackendArray):
                 )
                 edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
                 plane, row = np.unravel_index(np.arange(len(lines)), in_file_order.shape[:2])
+                kept = _selector(columns)
                 blocks: Iterator[bytes] | None = None
                 if isinstance(file, RemoteData):  # all requests run at once
                     starts = lines[edges[:-1]] * width + first
@@ -755,7 +756,7 @@ class EnviArray(BackendArray):
                     else:
                         buffer_part[:] = np.frombuffer(next(blocks), self.stored)
                     block = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
-                    in_file_order[plane[start:stop], row[start:stop]] = block[:, _selector(columns)]
+                    in_file_order[plane[start:stop], row[start:stop]] = block[:, kept]
         return samples
 
     def fill_samples(self, file: io.RawIOBase, first: int, out: Array) -> None:

@@ -172,44 +172,7 @@ def published_files(
             )
         _refuse(targets, foreign, overwrite=overwrite)
         if len(targets) > 1:
-            # Exchange new and old files: steps 1 to 5 of the module's docstring.
-            #
-            # ``folders``: the build of each target folder, the key's last.
-            *companions, (last, key_target) = enumerate(targets)
-            for index, place in companions:
-                with contextlib.suppress(OSError):  # there is no old file, or the disk has no links
-                    os.link(place, _old(builds[place.parent], index))
-            for folder, staged in builds.items():
-                real = os.path.realpath(folder)
-                journal = [
-                    (os.path.relpath(os.path.realpath(target_path.parent), real), target_path.name)
-                    for target_path in targets
-                ]
-                (staged / _JOURNAL).write_text(json.dumps(journal))
-                sync(staged / _JOURNAL)
-                sync(staged)
-            try:
-                for folder, staged in builds.items():  # the key's folder comes last and begins the swap
-                    os.rename(staged, staged.with_name(_SWAP))
-                    sync(staged.parent)
-                    builds[folder] = staged.with_name(_SWAP)
-                if os.path.lexists(key_target):
-                    os.rename(key_target, _old(builds[key_target.parent], last))
-                    sync(key_target.parent)
-                for index, place in companions:
-                    old = _old(builds[place.parent], index)
-                    if os.path.lexists(place) and not os.path.lexists(old):
-                        os.rename(place, old)
-                    os.replace(_new(builds[place.parent], index, place), place)
-                for folder in builds:
-                    sync(folder)
-                os.rename(_new(builds[key_target.parent], last, key_target), key_target)
-                sync(key_target.parent)
-            except BaseException:
-                with contextlib.suppress(OSError):  # otherwise done by the next writer
-                    _settle(targets)
-                raise
-            _settle(targets)
+            _swap(targets, builds)
         elif temporary_paths[0].is_dir():
             stage.publish(temporary_paths[0], "")
         else:
@@ -283,12 +246,12 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise unwritable(path, error) from error
 
 
+def _is_at_url(target: Path) -> bool:
+    return url_of(target) is not None and target.exists()
+
+
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
-    existing = [
-        target
-        for target in targets
-        if os.path.lexists(target) or (url_of(target) is not None and target.exists())
-    ]
+    existing = [target for target in targets if os.path.lexists(target) or _is_at_url(target)]
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
             StoreError.raise_if(
@@ -340,6 +303,47 @@ def _anchors(targets: Sequence[Path]) -> list[Path]:
     # Return the target that names the staging folder of each folder, the key last.
     key = targets[-1]
     return [*{part.parent: part for part in targets if part.parent != key.parent}.values(), key]
+
+
+def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
+    # Exchange new and old files: steps 1 to 5 of the module's docstring.
+    #
+    # ``folders``: the build of each target folder, the key's last.
+    *companions, (last, key) = enumerate(targets)
+    for number, target in companions:
+        with contextlib.suppress(OSError):  # there is no old file, or the disk has no links
+            os.link(target, _old(folders[target.parent], number))
+    for folder, build in folders.items():
+        real = os.path.realpath(folder)
+        journal = [
+            (os.path.relpath(os.path.realpath(target_path.parent), real), target_path.name)
+            for target_path in targets
+        ]
+        (build / _JOURNAL).write_text(json.dumps(journal))
+        sync(build / _JOURNAL)
+        sync(build)
+    try:
+        for folder, build in folders.items():  # the key's folder comes last and begins the swap
+            os.rename(build, build.with_name(_SWAP))
+            sync(build.parent)
+            folders[folder] = build.with_name(_SWAP)
+        if os.path.lexists(key):
+            os.rename(key, _old(folders[key.parent], last))
+            sync(key.parent)
+        for number, target in companions:
+            old = _old(folders[target.parent], number)
+            if os.path.lexists(target) and not os.path.lexists(old):
+                os.rename(target, old)
+            os.replace(_new(folders[target.parent], number, target), target)
+        for folder in folders:
+            sync(folder)
+        os.rename(_new(folders[key.parent], last, key), key)
+        sync(key.parent)
+    except BaseException:
+        with contextlib.suppress(OSError):  # otherwise done by the next writer
+            _settle(targets)
+        raise
+    _settle(targets)
 
 
 def _old(build: Path, number: int) -> Path:

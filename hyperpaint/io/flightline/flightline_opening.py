@@ -905,60 +905,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if "values" in opened and inputs.radiance_units:
             opened = opened.rename(values="radiance")
         is_counts = "counts" in opened
-        # Variable ``counts`` or ``radiance`` in sensor geometry, with units
-        cube_path = inputs.path
-        cube_name = next((cube_name for cube_name in ("counts", "radiance") if cube_name in opened), None)
-        if cube_name is None:
-            FormatError.raise_if(
-                "values" in opened and opened["values"].dtype.kind in "iu",
-                f"{cube_path}: integers of an undeclared quantity",
-                mend="pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
-                "or radiance_units=",
-                code="quantity-ambiguous",
-            )
-            raise FormatError(
-                f"{cube_path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
-                expected="raw counts, or radiance with radiance_units",
-                code="quantity-wrong",
-            )
-        cube = opened[cube_name]
-        units = inputs.radiance_units or cube.attrs.get("units")
-        refuse(
-            str(cube_path),
-            (
-                set(cube.dims) != set(CUBE),
-                Problem(
-                    f"dims {tuple(map(str, cube.dims))}",
-                    expected=f"{CUBE} (sensor geometry, not a map)",
-                    code="dims-wrong",
-                ),
-            ),
-            (
-                not all(cube.sizes.values()),
-                Problem(f"an empty cube of sizes {dict(cube.sizes)}", code="empty-input"),
-            ),
-            (
-                cube_name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
-                Problem(
-                    f"samples are {cube.dtype}",
-                    expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
-                    code="type-wrong",
-                ),
-            ),
-            (
-                cube_name == "radiance" and units is None,
-                Problem(
-                    "radiance without units",
-                    mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
-                    code="units-missing",
-                ),
-            ),
-        )
-        if cube_name == "radiance":
-            cube = cube.assign_attrs(units=units)
-            # raises for an unreadable unit now, so that it is listed with the other problems
-            conversion_factor(str(units), VARIABLES[cube_name].units)
-        cube = cube if cube.dims == CUBE else cube.transpose(*CUBE)
+        cube = _check_cube(opened, inputs)
     exposure, exposure_source = findings.attempt(
         find_exposure, inputs.exposure_time, on_disk, path.name, opened, required=is_counts
     ) or (None, "")
@@ -1042,6 +989,63 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 
 
 # --- cube --------------------------------------------------------------------------------------------------
+
+
+def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
+    # Variable ``counts`` or ``radiance`` in sensor geometry, with units
+    path = inputs.path
+    name = next((name for name in ("counts", "radiance") if name in opened), None)
+    if name is None:
+        FormatError.raise_if(
+            "values" in opened and opened["values"].dtype.kind in "iu",
+            f"{path}: integers of an undeclared quantity",
+            mend="pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
+            "or radiance_units=",
+            code="quantity-ambiguous",
+        )
+        raise FormatError(
+            f"{path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
+            expected="raw counts, or radiance with radiance_units",
+            code="quantity-wrong",
+        )
+    cube = opened[name]
+    units = inputs.radiance_units or cube.attrs.get("units")
+    refuse(
+        str(path),
+        (
+            set(cube.dims) != set(CUBE),
+            Problem(
+                f"dims {tuple(map(str, cube.dims))}",
+                expected=f"{CUBE} (sensor geometry, not a map)",
+                code="dims-wrong",
+            ),
+        ),
+        (
+            not all(cube.sizes.values()),
+            Problem(f"an empty cube of sizes {dict(cube.sizes)}", code="empty-input"),
+        ),
+        (
+            name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
+            Problem(
+                f"samples are {cube.dtype}",
+                expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
+                code="type-wrong",
+            ),
+        ),
+        (
+            name == "radiance" and units is None,
+            Problem(
+                "radiance without units",
+                mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
+                code="units-missing",
+            ),
+        ),
+    )
+    if name == "radiance":
+        cube = cube.assign_attrs(units=units)
+        # raises for an unreadable unit now, so that it is listed with the other problems
+        conversion_factor(str(units), VARIABLES[name].units)
+    return cube if cube.dims == CUBE else cube.transpose(*CUBE)
 
 
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:

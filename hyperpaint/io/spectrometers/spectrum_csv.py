@@ -522,9 +522,8 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
                 )
                 continue
             table = np.array(cells, np.float64)
-            tables[name] = (
-                table[1:] if name == "CALDATA" else table
-            )  # whose first row holds integration times
+            # the first row of this table holds integration times
+            tables[name] = table[1:] if name == "CALDATA" else table
             problems.add_if(
                 not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any(),
                 f"[{name}] has wavelengths that do not increase, or values that are not finite",

@@ -797,7 +797,7 @@ def open_svc(
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
     scans = (1, 0) if is_ratio else (scan_number,)
     coords |= _coords_of_scans(contents, scans, dayfirst, utc_offset_h)
-    # Return the coordinates of the channels, and of the files' names, instruments, overlaps and errors.
+    # coordinates of the channels, and of the files' names, instruments, overlaps and errors.
     svc_files = [measurement.file for measurement in measurements]
     overlaps = [measurement.overlap for measurement in measurements]
     errors = np.array([error_bits(svc_file.header) for svc_file in svc_files], np.int64)

@@ -33,7 +33,15 @@ from support.refusals import expect_equal, expect_error, expect_errors, expect_r
 import hyperpaint as hp
 from hyperpaint.base import schema
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, StoreError, TimeError
+from hyperpaint.base.errors import (
+    CollectError,
+    FormatError,
+    PaintError,
+    PaintWarning,
+    SchemaError,
+    StoreError,
+    TimeError,
+)
 from hyperpaint.io.envi.envi_cubes import EnviArray
 from hyperpaint.io.flightline.flightline_opening import open_flightline
 from hyperpaint.io.flightline.side_files import open_calibration
@@ -285,6 +293,22 @@ def test_what_is_no_flight_line(
     if change is not None:
         change(folder, counts)
     expect_errors((error, match, lambda: open_line(folder, **options)))
+
+
+@pytest.mark.parametrize(
+    ("dims", "name", "code"),
+    [
+        (("band", "cross_track"), "counts", "dims-wrong"),
+        (("along_track", "band"), "counts", "dims-wrong"),
+        (("along_track", "band", "cross_track"), "radiance", "units-missing"),
+    ],
+)
+def test_what_depends_on_a_wrong_cube_is_not_examined(dims: tuple[str, ...], name: str, code: str) -> None:
+    sizes = {"along_track": 3, "band": 4, "cross_track": 5}
+    cube = xr.Dataset({name: (dims, np.zeros([sizes[dim] for dim in dims], "u2"))})
+    recorded = {"exposure_time": 0.005, "start_time": T0, "frame_period": 0.007}
+    caught = expect_error(PaintError, code, lambda: open_flightline(cube, dark="none", **recorded))
+    assert set(re.findall(r"\[([a-z]+-[a-z-]+)\]", str(caught))) <= {code, "calibration-missing"}
 
 
 # --- everything at once ------------------------------------------------------------------------------------
