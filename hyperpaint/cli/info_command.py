@@ -26,27 +26,6 @@ from hyperpaint.base import (
     origin_of,
     url_of,
 )
-from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
-from hyperpaint.io.flightline.side_files import exposure_seconds, read_frame_index, read_settings
-from hyperpaint.io.maps.map_grids import read_geotiff_header
-from hyperpaint.io.navigation.navigation_records import (
-    is_eph_att,
-    is_navigation_csv,
-    is_nmea,
-    navigation_format,
-    read_imu_gps,
-    read_record,
-)
-from hyperpaint.io.spectrometers.asd import read_asd, read_asd_text, sniff
-from hyperpaint.io.spectrometers.spectrum_texts import (
-    error_bits,
-    is_named_as_scans,
-    overlap_of,
-    pair,
-    position_of,
-    read_spectrum_text,
-    read_svc,
-)
 from hyperpaint.io.store import (
     RAW_FILES,
     is_complete,
@@ -106,6 +85,9 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
     if not path.is_dir():
+        from hyperpaint.io.spectrometers.asd import sniff
+        from hyperpaint.io.spectrometers.spectrum_texts import is_named_as_scans
+
         name, suffix = path.name.lower(), path.suffix.lower()
         reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
         if reader is None:
@@ -159,6 +141,11 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 
 
 def _envi(path: Path) -> Facts:
+
+    from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
+    from hyperpaint.io.flightline.side_files import exposure_seconds
+    from hyperpaint.io.navigation.navigation_records import is_eph_att
+
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     if header.is_spectral_library:
@@ -181,6 +168,9 @@ def _envi(path: Path) -> Facts:
 
 
 def _geotiff(path: Path) -> Facts:
+
+    from hyperpaint.io.maps.map_grids import read_geotiff_header
+
     header = read_geotiff_header(path)
     (rows, cols), unlocated = header.shape, [("crs", "unknown, as is its location")]
     nm = [band.removesuffix(" nm") for band in header.descriptions if band.endswith(" nm")]
@@ -196,6 +186,7 @@ def _geotiff(path: Path) -> Facts:
 
 
 def _regions(path: Path) -> Facts:
+
     regions = hp.read_regions(path)
     bounds = ""
     if len(regions):
@@ -213,6 +204,9 @@ def _regions(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.asd import read_asd
+
     file = read_asd(path)
     panel = "" if file.reference is None else ", white reference"
     zone = "zone unknown" if file.utc_offset_h is None else f"UTC{file.utc_offset_h:+g} h"
@@ -232,6 +226,9 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.spectrum_texts import error_bits, overlap_of, pair, position_of, read_svc
+
     file = read_svc(path)
     overlap, position = overlap_of(file.header), position_of(file.header, 1)
     reference = "white reference and target" if file.has_reference else "target without white reference"
@@ -253,6 +250,9 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.asd import read_asd_text
+
     text = read_asd_text(path)
     local_time, integration_ms = (text.preamble.get(key) for key in ("local_time", "integration_ms"))
     likely = text.likely_quantity
@@ -266,6 +266,9 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _spectrum_text(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.spectrum_texts import read_spectrum_text
+
     text = read_spectrum_text(path)
     held = dict.fromkeys(f"{c.quantity or 'unknown quantity'} of the {c.scan}" for c in text.columns)
     zone = "zone unknown" if text.utc_offset_h is None else f"UTC{text.utc_offset_h:+g} h"
@@ -278,6 +281,7 @@ def _spectrum_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
+
     from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
 
     series: Any = read_irradiance_csv(path)
@@ -300,6 +304,7 @@ def _spectra_if_any(path: Path) -> Facts:
 
 
 def _library(path: Path) -> Facts:
+
     library = hp.open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     about = (str(name) for name, array in library.coords.items() if array.dims == ("signature",))
@@ -329,15 +334,19 @@ def _materials(path: Path) -> Facts:
 
 
 def _frame_index(path: Path) -> Facts:
+
+    from hyperpaint.io.flightline.side_files import read_frame_index
+
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
-    yield from (
-        ("is", "Headwall frame index"),
-        ("frames", f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"),
-    )
+    numbers = f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"
+    yield from (("is", "Headwall frame index"), ("frames", numbers))
 
 
 def _navigation(path: Path) -> Facts:
+
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
+
     record = read_imu_gps(path)
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
     yield from (
@@ -348,6 +357,9 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
+
+    from hyperpaint.io.navigation.navigation_records import is_navigation_csv, is_nmea
+
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
     head = head_of(path, _HEAD_BYTES)
@@ -360,6 +372,9 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
+
+    from hyperpaint.io.navigation.navigation_records import navigation_format, read_record
+
     kind = navigation_format(path)
     if kind == "imu_gps":
         yield from _navigation(path)
@@ -395,6 +410,9 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
+
+    from hyperpaint.io.flightline.side_files import exposure_seconds, read_settings
+
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
     exposure_text = "" if exposure is None else f"{exposure * 1e3:g} ms"
@@ -405,6 +423,7 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
+
     from hyperpaint.io.collect.collect_toml import read_collect
 
     collect = read_collect(path, need_irradiance=False)
@@ -433,6 +452,7 @@ def _collect(path: Path) -> Facts:
 
 
 def _store(path: Path) -> Facts:
+
     groups, (location, _) = list_groups(path), place_of(path)
     if groups == [""]:
         yield from (("is", "one group of Zarr arrays"), *_group(path, ""))
@@ -445,18 +465,15 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
+
     # open without chunks, decoded times and indexes, for which xarray imports dask, pint and others
     options = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
         group = with_times(open_group(path, name, **options))
         origin = f"written {group.attrs.get('created', 'at an unknown time')}"
         by = "" if "hyperpaint_version" in group.attrs else " by another program"
-        yield (
-            "state",
-            f"complete, {origin}"
-            if is_complete(path, name)
-            else f"not in a manifest, so that completeness is unknown; {origin}{by}",
-        )
+        unknown = f"not in a manifest, so that completeness is unknown; {origin}{by}"
+        yield "state", f"complete, {origin}" if is_complete(path, name) else unknown
     except IncompleteStoreError as error:
         group = with_times(open_unverified(path, name, **options))
         yield "state", f"NOT COMPLETE: {error}"
@@ -579,10 +596,5 @@ def info(path: Path, as_json: bool, allow: tuple[str, ...]) -> None:
         return
     texts = facts_of_path(path, allow)
     facts = {name: text.split("\n") if "\n" in text else text for name, text in texts.items()}
-    click.echo(
-        json.dumps(
-            {"path": str(path), **{name: text for name, text in facts.items() if text}},
-            indent=1,
-            ensure_ascii=False,
-        )
-    )
+    document = {"path": str(path), **{name: text for name, text in facts.items() if text}}
+    click.echo(json.dumps(document, indent=1, ensure_ascii=False))

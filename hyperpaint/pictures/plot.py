@@ -2082,10 +2082,9 @@ def chips_and_renders(
     """
     paints, problems = find_usable(paints)
     variables = require(paints, ["reflectance", "wavelength"], "chips", LIBRARY_VARIABLES)
-    is_one = not isinstance(renders, Mapping) or hasattr(renders, "dims")
-    lines: dict[str, Any] = (
-        {"": renders} if is_one else {str(name): render for name, render in renders.items()}
-    )
+    lines: dict[str, Any] = {"": renders}
+    if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
+        lines = dict(renders)
     if problems or not paints.sizes[SIGNATURE] or not lines:
         reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
         raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")

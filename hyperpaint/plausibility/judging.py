@@ -1379,7 +1379,9 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
     freedom = scene.size - DARK_RULES.lit_degree - 2
     u = math.sqrt(float(np.sum((whole - slope * scene) ** 2)) / freedom / size)
     rest = np.nanmean(columns, axis=1) - slope * light[finite]
-    is_significant = DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most and slope >= DARK_RULES.lit_sds * u
+    is_significant = (
+        DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most and not slope < DARK_RULES.lit_sds * u
+    )
     if not is_significant or min(first, second) < 0.4 * slope:  # light of the scene is in all columns
         return
     has_range = float(np.ptp(light[finite])) > DARK_RULES.lit_range * float(np.ptp(rest))

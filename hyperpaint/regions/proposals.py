@@ -1731,16 +1731,8 @@ class Car(NamedTuple):
 
     def unless_larger(self, max_size: float) -> Car:
         # Return the car, without a roof where it has more pixels than cars have.
-        return (
-            self
-            if self.size <= max_size
-            else self._replace(
-                roof=NoRoof(
-                    "it is larger than other cars: several of one colour may touch; draw a region by hand",
-                    False,
-                )
-            )
-        )
+        reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
+        return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))
 
 
 def find_cars(pieces: Iterable[Piece], picture: Picture, progress: Progress | None = None) -> list[Car]:

@@ -989,6 +989,7 @@ def write_site(
             if flags and link is None and name in groups.lines:
                 group, note = flagged(group, None, None)
                 notes[name] = "" if group is not groups.lines[name] else note
+            calibrated = group
             # with ``link``, reflectance is not computed from counts
             if "reflectance" not in group.variables:
                 StoreError.raise_if(
@@ -998,16 +999,16 @@ def write_site(
                     option="leave out --link",
                     code="variable-missing",
                 )
-                group = reflectance(group, keep_bits=KEPT_BITS)
-            dims = group["reflectance"].dims
+                calibrated = reflectance(group, keep_bits=KEPT_BITS)
+            dims = calibrated["reflectance"].dims
             SchemaError.raise_if(
-                "wavelength" not in group.variables or len(dims) != 3,
+                "wavelength" not in calibrated.variables or len(dims) != 3,
                 f"reflectance {dims}",
                 expected="lines, columns and bands, with wavelengths",
                 code="dim-missing",
             )
-            shown_names = [name for name in group.variables if name in _SHOWN_VARIABLES or name in dims]
-            variables = group.reset_coords()[shown_names].set_coords(
+            shown_names = [name for name in calibrated.variables if name in _SHOWN_VARIABLES or name in dims]
+            variables = calibrated.reset_coords()[shown_names].set_coords(
                 [name for name in shown_names if name not in ("reflectance", "quality")]
             )
             picture, places = _picture(variables, group, max_lines)

@@ -318,6 +318,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         name: reader.path("[spectra]", name, file) for name, file in values(reader.one("spectra")).items()
     }
     platform, camera = _flight(reader)
+    scene: dict[str, Any] = _scene(reader)
     entries, names = [], []
     for row, mesh_table in enumerate(reader.tables["meshes"]):
         place, name = reader.place("meshes", row), mesh_table.get("name", f"mesh_{row + 1}")
@@ -366,7 +367,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
             }
             entries.append(MeshEntry(mesh_path, name, options))
     scene_file = SceneFile(
-        path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
+        path=path, name=reader.one("scene").get("name", path.stem), scene=scene,
         meshes=tuple(entries), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
         sampling=filled(SCHEMA["sampling"], reader.one("sampling")),
         spectra={name: file for name, file in spectra.items() if file is not None},
