@@ -11,6 +11,7 @@ own registry, like UDUNITS, lets it pass. No Quantity ever enters an array, a gr
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import functools
@@ -302,16 +303,13 @@ def _unit_text(quantity: Any) -> str:
             )
             scale *= scale_unit.magnitude**power
             parts = list(scale_unit.unit_items())
-        powers += [(_symbol(part), exponent * power) for part, exponent in parts]
+        for part, exponent in parts:
+            symbol = part
+            with contextlib.suppress(Exception):  # pint's own class; the parser then refuses the text
+                symbol = str(registry().get_symbol(part))
+            powers.append((symbol, exponent * power))
     text = " ".join(symbol if power == 1 else f"{symbol}{power:g}" for symbol, power in powers)
     return f"{scale:.15g} {text}".strip() if scale != 1.0 else text or "1"
-
-
-def _symbol(name: str) -> str:
-    try:
-        return str(registry().get_symbol(name))
-    except Exception:  # pint's own class; the parser then refuses the text
-        return name
 
 
 def plain(labelled: Any) -> Any:

@@ -178,9 +178,13 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
     logs = np.log(np.maximum(levels, 1e-30))
     empty = np.full(levels.shape[1], np.inf)
     offset = round(within * 1e9)
-    at_early, at_stamp, at_late = (
-        _log_level_at(ticks, levels, stamps + shift) for shift in (-offset, 0, offset)
-    )
+    logs_at = []
+    for moments in (stamps - offset, stamps, stamps + offset):
+        after = np.clip(np.searchsorted(ticks, moments, side="right"), 1, ticks.size - 1)
+        weight = np.clip((moments - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
+        level = levels[after - 1] + weight * (levels[after] - levels[after - 1])
+        logs_at.append(np.log(np.maximum(level, 1e-30)))
+    at_early, at_stamp, at_late = logs_at
     # inside a window, extremes are at samples; many lines share a window
     first, last = (
         np.searchsorted(ticks, stamps - offset),
@@ -196,13 +200,6 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
         np.maximum(highest, np.maximum(at_early, at_late)),
     )
     return np.asarray(np.expm1(np.maximum(at_stamp - lowest, highest - at_stamp).max(axis=1)))
-
-
-def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
-    after = np.clip(np.searchsorted(ticks, stamps, side="right"), 1, ticks.size - 1)
-    weight = np.clip((stamps - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
-    level = levels[after - 1] + weight * (levels[after] - levels[after - 1])
-    return np.asarray(np.log(np.maximum(level, 1e-30)))
 
 
 def channels_of(record: xr.DataArray) -> Floats:

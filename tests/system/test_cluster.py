@@ -360,7 +360,7 @@ def test_a_short_line_is_one_task(client: Any, tmp_path: Path) -> None:
     with distributed.get_task_stream(client) as stream:
         hp.process(collect, store)
     keys = [task["key"] for task in stream.data]
-    assert sum("_write_on_a_worker" in key for key in keys) == len(list_groups(store))
+    assert sum("_write_arrays" in key for key in keys) == len(list_groups(store))
     assert not any(key.startswith("store-") for key in keys)
     assert hp.verify(store).ok
     for group in filter(None, list_groups(local)):

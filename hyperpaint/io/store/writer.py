@@ -34,6 +34,7 @@ import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, get_args
@@ -971,21 +972,11 @@ def _arrays(
     if place.local is not None:
         place.local.mkdir(parents=True, exist_ok=True)
     if as_one_task and not leftovers:
-        return computing.on_one_worker(_write_on_a_worker, job, place, group=job.group)
+        import dask
+
+        write: Callable[..., _Arrays] = partial(_write_arrays, leftovers=[], progress=False, get=dask.get)
+        return computing.on_one_worker(write, job, place, group=job.group)
     return _write_arrays(job, place, leftovers, progress=progress)
-
-
-def _write_on_a_worker(job: Job, place: Location) -> _Arrays:
-    import dask
-
-    # a task that is repeated after its run finds no folder, and must not create it again
-    StoreError.raise_if(
-        place.local is not None and not place.local.is_dir(),
-        f"cannot store /{job.group}: {place.url} does not exist on the worker{computing.SAME_FILES}",
-        mend=computing.RUN_AGAIN,
-        code="block-failed",
-    )
-    return _write_arrays(job, place, [], progress=False, get=dask.get)
 
 
 def _write_arrays(
@@ -1004,6 +995,13 @@ def _write_arrays(
     # crc32c of every chunk, by key.
     from zarr.storage import MemoryStore
 
+    # a task that is repeated after its run finds no folder, and must not create it again
+    StoreError.raise_if(
+        place.local is not None and not place.local.is_dir(),
+        f"cannot store /{job.group}: {place.url} does not exist on the worker{computing.SAME_FILES}",
+        mend=computing.RUN_AGAIN,
+        code="block-failed",
+    )
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
     variables = {str(name): variable for name, variable in dataset.variables.items()}

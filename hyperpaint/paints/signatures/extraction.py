@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -820,7 +819,7 @@ def extract_signatures(
         # gather and reduce the pixels of a round; reading is the first half of the work, reducing the second
         report, source = part_of(progress, number, len(rounds)), sources[name]
         along, across = (np.concatenate([drafts[k].cells[axis] for k in batch]) for axis in (0, 1))
-        gathering = None if report is None else partial(_first_half, report)
+        gathering = None if report is None else lambda count, blocks, report=report: report(count, 2 * blocks)
         spectra, values = gather(source.cubes, source.planes, along, across, bands, source.small, gathering)
         line_values = {key: values[key] for key in source.small}
         start = 0
@@ -919,10 +918,6 @@ def _searched_flags(
         "flags-not-searched",
     )
     return searched
-
-
-def _first_half(progress: Progress, count: int, blocks: int) -> None:
-    progress(count, 2 * blocks)
 
 
 _DEGREES_WITHOUT_CRS = (

@@ -593,11 +593,6 @@ _LAMP = (
 )
 
 
-def _lamps(layout: Layout) -> Iterator[Thing]:
-    for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
-        yield Thing(f"lamp_{number:03d}", "other", (-0.5 * layout.width + 0.6, float(north)), _LAMP)
-
-
 #: Objects around the cars by kind, in the order in which a scene has them.
 _NEIGHBOURS: dict[str, Callable[[Layout], Iterable[Thing]]] = {
     "trees": _trees,
@@ -605,7 +600,10 @@ _NEIGHBOURS: dict[str, Callable[[Layout], Iterable[Thing]]] = {
     "hedges": lambda layout: [
         Thing("hedge", "tree", (layout.hedge, 0.0), lambda rng, _: _hedge(rng, layout.length), (_TREES,))
     ],
-    "lamps": _lamps,
+    "lamps": lambda layout: [
+        Thing(f"lamp_{number:03d}", "other", (-0.5 * layout.width + 0.6, float(north)), _LAMP)
+        for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH))
+    ],
 }
 
 #: Kinds of objects around the cars.
