@@ -1,4 +1,4 @@
-"""Peak memory of whole commands on a short line; `flat_memory.py` holds it against the length of the line."""
+"""Memory and growth of whole commands; `flat_memory.py` and `growth.py` measure them at full size."""
 
 import tempfile
 from pathlib import Path
@@ -24,3 +24,22 @@ class WholeCommand:
 
     def teardown(self, *_):
         self.folder.cleanup()
+
+
+class Growth:
+    """CPU time at 4n over that at n, in processes of their own: 4 at most where it is linear."""
+
+    params = (["process", "info"], ["flight lines", "groups"])
+    param_names = ("command", "grows")
+    timeout = 600
+
+    def setup(self, command, grows):
+        if (command == "info") != (grows == "groups"):
+            raise NotImplementedError  # asv's way to leave a combination out
+
+    def track_growth(self, command, grows):
+        from benchmarks.common import SMOKE
+        from benchmarks.growth import measured
+
+        first, _, last = measured(command, grows, 8 if SMOKE else 1)
+        return last["cpu"] / first["cpu"]
