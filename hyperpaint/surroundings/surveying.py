@@ -67,6 +67,7 @@ from .segments import (
     distinct_pairs,
     divide,
     edge_distance,
+    in_parts,
     least_amounts,
     match_segments,
     max_excesses,
@@ -271,8 +272,13 @@ def _same_surface(spectrum: Floats, one: Ints, other: Ints) -> Bools:
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         shape = spectrum / level[:, None]
-        close = np.abs(level[one] / level[other] - 1.0) < SHADOWS.max_level_difference
-    return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < SHADOWS.max_shape_difference))
+        close = np.flatnonzero(np.abs(level[one] / level[other] - 1.0) < SHADOWS.max_level_difference)
+    is_same = np.zeros(one.size, bool)
+    for part in in_parts(close.size):  # a long line has millions of pairs
+        pairs = close[part]
+        difference = np.abs(shape[one[pairs]] - shape[other[pairs]]).max(axis=1)
+        is_same[pairs] = difference < SHADOWS.max_shape_difference
+    return is_same
 
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
