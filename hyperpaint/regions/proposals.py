@@ -19,6 +19,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
+import dask.array as da
 import numpy as np
 import xarray as xr
 from scipy.ndimage import (
@@ -75,6 +76,7 @@ from hyperpaint.surroundings.corrections import (
     sun_zenith_of,
 )
 from hyperpaint.surroundings.model import SHADED
+from hyperpaint.surroundings.scratch import compute_into, scratch_array
 from hyperpaint.surroundings.segments import padded
 from hyperpaint.surroundings.surveying import flag, is_vegetation, to_channels
 
@@ -2396,13 +2398,20 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     flagged = line if set(_LAYERS[:3]) <= set(line.variables) else flag(line, model)
     quality = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
-    numbers = dask.delayed(model.channel)
-    blocks = [
-        dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
-    ]
-    results = dask.compute(*blocks, *[flagged[name].data for name in _LAYERS[:3]])
-    channels = np.concatenate(results[: len(blocks)])
-    layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
+    (lines, _, columns), count = cube.shape, int(model.channel.max()) + 1
+    blocks = da.map_blocks(
+        to_channels,
+        cube.data,
+        model.channel,
+        dtype=np.float32,
+        chunks=(cube.data.chunks[0], (columns,), (count,)),
+        meta=np.empty((0, 0, 0), np.float32),
+    )
+    lazy = [blocks, *(flagged[name].data for name in _LAYERS[:3])]
+    # a long line is mapped to temporary files
+    channels, *found = (scratch_array((lines, columns, *array.shape[2:]), array.dtype) for array in lazy)
+    compute_into(lazy, [channels, *found])
+    layers = dict(zip(_LAYERS, found, strict=False))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
     return channels, layers
 
