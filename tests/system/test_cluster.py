@@ -403,6 +403,20 @@ def test_cluster_that_loses_all_workers(tmp_path: Path, monkeypatch: pytest.Monk
     check_again(path)
 
 
+def test_missing_file_of_a_group_written_by_one_worker(tmp_path: Path) -> None:
+    # what `_write_arrays` runs on a worker: the error names the block, and where files must be
+    missing = FileNotFoundError(errno.ENOENT, "No such file", "/data/raw_0")
+    line = line_with(raising, error=missing, at=3)[["counts"]]
+    target = computing.Target.of("counts", line["counts"].variable, computing.Location.of(tmp_path), "fast")
+    (tmp_path / "counts").mkdir()
+    lazy = {"counts": computing.lazy_checksums(line["counts"].variable, target)}
+    expect_error(
+        StoreError,
+        rf"cannot store /{GROUP}, lines 96 to 127 of counts: .*/data/raw_0.*every worker.*run again",
+        lambda: computing.compute(lazy, {"counts": target}, group=GROUP, progress=False, get=dask.get),
+    )
+
+
 def wait_for(released: Path) -> None:
     while not released.exists():
         time.sleep(0.1)

@@ -858,7 +858,7 @@ def compute(
     with contextlib.ExitStack() as stack:
         bar = stack.enter_context(BlockBar(len(blocks))) if progress else None
         results = (
-            _on_threads(get or scheduler_in_force(), graph, blocks, group, bar)
+            _on_threads(get or scheduler_in_force(), graph, blocks, group, bar, is_worker=get is not None)
             if client is None
             else _on_cluster(client, graph, blocks, group, bar)
         )
@@ -900,7 +900,13 @@ def errors_of_the_cluster(subject: str) -> Iterator[None]:
 
 
 def _on_threads(
-    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
+    get: Any,
+    graph: dict[Key, Any],
+    blocks: Mapping[Key, _Block],
+    group: str,
+    bar: BlockBar | None,
+    *,
+    is_worker: bool,
 ) -> Results:
     # Keys and checksums, stage by stage; ``get``: scheduler of dask in this process
     from dask.callbacks import Callback
@@ -912,7 +918,8 @@ def _on_threads(
             bar.advance()
 
     try:
-        with Callback(posttask=count):
+        # not without a bar: callbacks are those of the process, and threads of a worker would mix them up
+        with contextlib.nullcontext() if bar is None else Callback(posttask=count):
             yield from in_stages(get, graph, {key: block.stage for key, block in blocks.items()})
     except Exception as error:
         # find the blocks that depend on the failed task
@@ -925,7 +932,8 @@ def _on_threads(
             if key not in affected:
                 affected.add(key)
                 pending.extend(dependents.get(key, ()))
-        _raise_named(error, group, [block for key, block in blocks.items() if key in affected])
+        hint = SAME_FILES if is_worker and isinstance(error, FileNotFoundError | PermissionError) else ""
+        _raise_named(error, group, [block for key, block in blocks.items() if key in affected], hint)
 
 
 #: Futures by key, of every group that is being written, so that another thread can cancel them.
