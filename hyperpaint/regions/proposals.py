@@ -30,7 +30,6 @@ from scipy.ndimage import (
     label,
     map_coordinates,
     maximum_filter,
-    minimum,
     minimum_filter,
     uniform_filter,
 )
@@ -76,9 +75,9 @@ from hyperpaint.surroundings.corrections import (
     sun_zenith_of,
 )
 from hyperpaint.surroundings.model import SHADED
-from hyperpaint.surroundings.scratch import compute_into, scratch_array
+from hyperpaint.surroundings.scratch import compute_into, line_blocks, scratch_array
 from hyperpaint.surroundings.segments import padded
-from hyperpaint.surroundings.surveying import flag, is_vegetation, to_channels
+from hyperpaint.surroundings.surveying import FLAG_LIMITS, flag_channels, is_vegetation, to_channels
 
 from .polygons import (
     GEOGRAPHIC_CRS,
@@ -383,7 +382,7 @@ class Picture:
     model: SceneModel  #: Its scene model.
     channels: Array  #: (line, column, channel): Reflectance in the model's channels [1].
     #: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
-    layers: Mapping[str, Array]
+    layers: dict[str, Array]
     zenith: float | None  #: Zenith angle of the sun [degree]; None where unknown.
     shadow_side: Floats | None = None  #: (2,): Direction (line, column) of shadows; None where unknown.
     #: (column, 2): Angle of the camera from the vertical, and its azimuth relative to the sun [degree].
@@ -939,8 +938,9 @@ def _car_area(
     gaps: dict[int, float] = {}
     while candidates:
         if not gaps:
-            distance = distance_transform_edt(~car_cores)
-            gaps = dict(zip(candidates, minimum(distance, cores, candidates).tolist(), strict=True))
+            gap_of = np.full(count + 1, np.inf)
+            np.minimum.at(gap_of, cores, distance_transform_edt(~car_cores))
+            gaps = {core: float(gap_of[core]) for core in candidates}
         nearest = min(candidates, key=lambda core: (gaps[core], core))
         candidates.remove(nearest)
         larger_cores = car_cores | (cores == nearest)
@@ -2310,15 +2310,20 @@ def propose_regions(
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
     view = view_of(line, options.get("sun_azimuth"))
     picture = Picture(scene, *_read(line, scene), zenith, side, view, height_model_of(line), sun)
-    painted, judged = [], []
-    for piece, is_scenery in pieces(scene, erode, max(min_pixels // 4, 1)):
-        if is_scenery:
-            objection = "its red edge is that of leaves"
-            measures = measured(piece, picture, limits)
-            judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
-        else:
-            painted.append(piece)
-    for car in find_cars(painted, picture, as_progress(progress, "cars")):
+    found = list(pieces(scene, erode, max(min_pixels // 4, 1)))
+    painted, leaves = ([piece for piece, is_leaves in found if is_leaves is kind] for kind in (False, True))
+    cars = find_cars(painted, picture, as_progress(progress, "cars"))
+    _add_flags(picture, [*painted, *leaves], cars)
+    judged = [
+        Verdict(
+            piece,
+            measured(piece, picture, limits),
+            objections=["its red edge is that of leaves"],
+            scenery=True,
+        )
+        for piece in leaves
+    ]
+    for car in cars:
         judged += judge_car(car, picture, limits)
     # Accepted pieces by score, and refused pieces with their objections
     places = _Places(line, scene.channel_wavelength, name)
@@ -2393,9 +2398,9 @@ def _centre(verdict: Verdict) -> Array:
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    # The line in the model's channels (line, column, channel), and its variables `_LAYERS`, by one pass;
-    # a line that was flagged is not flagged again
-    flagged = line if set(_LAYERS[:3]) <= set(line.variables) else flag(line, model)
+    # The line in the model's channels (line, column, channel), and those variables `_LAYERS` that it has, by
+    # one pass
+    names = _LAYERS[:3] if set(_LAYERS[:3]) <= set(line.variables) else ()
     quality = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
     (lines, _, columns), count = cube.shape, int(model.channel.max()) + 1
@@ -2407,13 +2412,35 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
         chunks=(cube.data.chunks[0], (columns,), (count,)),
         meta=np.empty((0, 0, 0), np.float32),
     )
-    lazy = [blocks, *(flagged[name].data for name in _LAYERS[:3])]
+    lazy = [blocks, *(line[name].data for name in names)]
     # a long line is mapped to temporary files
     channels, *found = (scratch_array((lines, columns, *array.shape[2:]), array.dtype) for array in lazy)
     compute_into(lazy, [channels, *found])
-    layers = dict(zip(_LAYERS, found, strict=False))
+    layers = dict(zip(names, found, strict=True))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
     return channels, layers
+
+
+def _add_flags(picture: Picture, pieces: list[Piece], cars: list[Car]) -> None:
+    # Add the flags of the pixels in pieces and roofs, which alone are judged, where the line has none
+    if len(picture.layers) == len(_LAYERS):
+        return
+    judged = np.zeros(picture.model.segment.shape, bool)
+    roofs = [
+        (car.footprint.origin, car.roof.inside)
+        for car in cars
+        if car.footprint is not None and isinstance(car.roof, Roof)
+    ]
+    for origin, inside in (*((piece.origin, piece.inside) for piece in pieces), *roofs):
+        judged[window_of(origin, inside)] |= inside
+    model = replace(picture.model, segment=np.where(judged, picture.model.segment, np.int32(-1)))
+    layers = {name: scratch_array(judged.shape, np.float32) for name in _LAYERS[:3]}
+    for lines, block in line_blocks(picture.channels):
+        # thresholds are for bits of quality, which are those of the line
+        flags = flag_channels(block.copy(), model, lines.start, dict.fromkeys(FLAG_LIMITS, np.inf))
+        for name, layer in layers.items():
+            layer[lines] = flags[name]
+    picture.layers.update(layers)
 
 
 def region_of(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:

@@ -1311,7 +1311,7 @@ def flag(
         for name, array in split_outputs(blocks, "lbx", layout).items()
     }
     # the first three layers have a threshold
-    for name, limit in zip(LAYERS, _LIMITS[:3], strict=False):
+    for name, limit in zip(LAYERS, FLAG_LIMITS[:3], strict=False):
         layers[name].attrs["threshold"] = limits[limit]
     bits = layers["quality"]
     if "quality" in line.variables:
@@ -1329,8 +1329,16 @@ def _flag_block(
     limits: dict[str, float],
     block_id: tuple[int, ...] = (0,),
 ) -> dict[str, Array]:
-    lines = slice(starts[block_id[0]], starts[block_id[0]] + len(block))
-    channels = to_channels(block, model.channel)
+    return flag_channels(to_channels(block, model.channel), model, starts[block_id[0]], limits)
+
+
+def flag_channels(
+    channels: Floats32, model: SceneModel, start: int, limits: dict[str, float]
+) -> dict[str, Array]:
+    # Return `LAYERS` and ``quality`` (line, column) of lines from ``start`` on.
+    #
+    # ``channels``: (line, column, channel), changed; ``limits``: thresholds of `flag`.
+    lines = slice(start, start + len(channels))
     to_nominal_channels(channels, model.channel_wavelength, model.shift)
     shape = channels.shape[:2]
     neighbours = model.neighbours(lines.start, lines.stop)
@@ -1397,7 +1405,7 @@ def _flag_block(
 
 _SURVEYED_FLAGS = flags_set_from("scene")
 #: Arguments of `flag` that are thresholds.
-_LIMITS = ("glint", "shadow", "adjacency", "edge")
+FLAG_LIMITS = ("glint", "shadow", "adjacency", "edge")
 
 
 @dataclass(frozen=True)
@@ -1439,7 +1447,7 @@ def flag_line(
         and (np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any()
     )
     surveyed = to_nominal(line) if has_smile else line
-    limits = {name: options.pop(name) for name in _LIMITS if name in options}
+    limits = {name: options.pop(name) for name in FLAG_LIMITS if name in options}
     model = survey(surveyed, progress=progress, **options)
     flagged = flag(surveyed, model, **limits)
     return Flagged(line.assign({name: flagged[name] for name in ("quality", *LAYERS)}), surveyed, model)

@@ -394,7 +394,7 @@ def test_flagged_lines__are_not_flagged_again(
     line, whole = car
     model = hp.surroundings.survey(line, sun_zenith=ZENITH)
     flagged = hp.surroundings.flag(line, model)
-    monkeypatch.setattr(proposals, "flag", None)
+    monkeypatch.setattr(proposals, "flag_channels", None)
     calls: list[tuple[int, int]] = []
     found = propose(flagged, model=model, flightline="raw_0", progress=lambda *done: calls.append(done))
     assert (found.digest, found.refused.digest) == (whole.digest, whole.refused.digest)
