@@ -236,6 +236,8 @@ CARS = SimpleNamespace(
     min_window_share=0.8,  # The same on its complete area, for a piece of another colour [1].
     max_size=1.8,  # Maximum pixels of a car relative to the median over the cars of a line [1].
     min_sizes=3,  # Minimum number of cars for this median.
+    # Maximum pixels of a car relative to a piece of it, for pieces that are examined before that.
+    max_first_size=16.0,
     min_overlap=0.3,  # Minimum shared part of the smaller of two footprints of one car [1].
     # Maximum of |brightness of a part / brightness of the car's other paint - 1|: this step, or the effect
     # of a lean of `max_lean` under the sun where that is more [1].
@@ -1769,6 +1771,7 @@ class CarPark:
     # Cars of a picture, and maps of the car number of every pixel, -1 without a car
     def __init__(self, picture: Picture) -> None:
         self.cars: list[Car] = []
+        self._sizes: list[int] = []
         self._picture = picture
         self._area = np.full(picture.level.shape, -1, np.int32)
         self._paint = self._area.copy()
@@ -1776,8 +1779,8 @@ class CarPark:
     @property
     def max_size(self) -> float:
         # Maximum size of a car, from the sizes of the cars [pixel]
-        sizes = [car.size for car in self.cars]
-        return CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
+        known = len(self._sizes) >= CARS.min_sizes
+        return CARS.max_size * float(np.median(self._sizes)) if known else np.inf
 
     def add_certain(
         self,
@@ -1787,10 +1790,12 @@ class CarPark:
         progress: Progress | None = None,
     ) -> list[Car]:
         # Add the certain cars around pieces; return the best cars around the other pieces
-        uncertain, lines = [], len(self._area)
-        for done, best in enumerate(cars, start=1):
+        # Pieces that show no car before sizes of cars are known wait for these: without a limit, colour that
+        # extends over the line would be followed to its end.
+        uncertain, lines, queue = [], len(self._area), list(cars)
+        for done, best in enumerate(queue, start=1):
             if progress is not None:
-                progress(lines * done // len(cars), lines)
+                progress(lines * done // len(queue), lines)
             piece = best.pieces[0]
             if self.assign(piece):
                 continue
@@ -1799,6 +1804,9 @@ class CarPark:
                 continue
             colour = np.median(self._picture.without_sky(piece.window)[piece.inside], axis=0)
             limit = min(max_size, self.max_size)
+            waits = np.isinf(limit) and done <= len(cars)
+            if waits:
+                limit = CARS.max_first_size * piece.inside.sum()
             for footprint in footprints_of(
                 piece.inside, piece.origin, colour, self._picture, joinings, limit
             ):
@@ -1813,18 +1821,21 @@ class CarPark:
                     break
             if best.rank[0] == _CERTAIN:
                 self.add(best)
+            elif waits:
+                queue.append(cars[done - 1])
             else:
                 uncertain.append(best)
         return uncertain
 
     def remove_larger(self, max_size: float) -> list[Piece]:
         # Remove cars with more pixels, which are several cars side by side; return their pieces
-        is_kept = [car.size <= max_size for car in self.cars]
+        is_kept = [size <= max_size for size in self._sizes]
         # new number of every car; the last entry keeps -1
         numbers = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1).astype(np.int32)
         self._area, self._paint = numbers[self._area], numbers[self._paint]
         removed = [car for car, keep in zip(self.cars, is_kept, strict=True) if not keep]
         self.cars = [car for car, keep in zip(self.cars, is_kept, strict=True) if keep]
+        self._sizes = [size for size in self._sizes if size <= max_size]
         return [piece for car in removed for piece in car.pieces]
 
     def assign(self, piece: Piece) -> bool:
@@ -1846,11 +1857,12 @@ class CarPark:
             numbers = self._area[footprint.window][footprint.area]
             shared = np.bincount(numbers[numbers >= 0], minlength=1)
             overlapped = int(shared.argmax())
-            smaller = min(car.size, self.cars[overlapped].size) if shared.any() else 0
+            smaller = min(car.size, self._sizes[overlapped]) if shared.any() else 0
             if shared[overlapped] > CARS.min_overlap * smaller:
                 self.cars[overlapped].pieces.extend(car.pieces)
                 return
         self.cars.append(car)
+        self._sizes.append(car.size)
         if footprint is not None and car.is_car:
             # other footprints, such as unusual ground, get no further pieces
             for car_numbers, mask in (
