@@ -73,7 +73,7 @@ from hyperpaint.surroundings.corrections import (
     sun_zenith_of,
 )
 from hyperpaint.surroundings.model import SHADED
-from hyperpaint.surroundings.scratch import compute_into, line_blocks, release, scratch_array
+from hyperpaint.surroundings.scratch import compute_into, line_blocks, release, scratch_array, trim_memory
 from hyperpaint.surroundings.segments import padded
 from hyperpaint.surroundings.surveying import FLAG_LIMITS, flag_channels, is_vegetation, to_channels
 
@@ -1712,7 +1712,7 @@ def judge_finish(
 # --- cars and their parts ----------------------------------------------------------------------------------
 
 #: Number of pieces after which the pages of a mapped line are released.
-_PIECES = 64
+_PIECES = 8
 #: Rank of a roof between windows, or behind a windscreen, on a footprint of one car.
 _CERTAIN = 5
 
@@ -1812,6 +1812,7 @@ class CarPark:
                 progress(lines * done // len(queue), lines)
             if done % _PIECES == 0:
                 release(self._picture.channels)
+                trim_memory()
             piece = best.pieces[0]
             if self.assign(piece):
                 continue
@@ -2344,15 +2345,12 @@ def propose_regions(
     painted, leaves = ([piece for piece, is_leaves in found if is_leaves is kind] for kind in (False, True))
     cars = find_cars(painted, picture, as_progress(progress, "cars"))
     _add_flags(picture, [*painted, *leaves], cars)
-    judged = [
-        Verdict(
-            piece,
-            measured(piece, picture, limits),
-            objections=["its red edge is that of leaves"],
-            scenery=True,
-        )
-        for piece in leaves
-    ]
+    judged = []
+    for piece in leaves:
+        objection = "its red edge is that of leaves"
+        measures = measured(piece, picture, limits)
+        judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
+        release(picture.channels)
     for car in cars:
         judged += judge_car(car, picture, limits)
         release(picture.channels)
