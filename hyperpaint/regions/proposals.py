@@ -1981,6 +1981,12 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
+    slenderness = footprint.length / footprint.width
+    if not (footprint.is_one_car or footprint.cut):
+        verdict.objections.append(
+            f"the paint around it is {slenderness:.1f} times as long as wide, unlike one car: its level "
+            "position is unknown; draw a region by hand"
+        )
     return verdict
 
 

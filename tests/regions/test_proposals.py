@@ -202,6 +202,15 @@ def test_roof__is_found_by_its_windows(windows: tuple[tuple[int, int], ...]) -> 
     assert across.min() >= 30 + 42
 
 
+def test_roof_of_a_square_footprint__is_refused() -> None:
+    # Rationale: paint 1.4 times as long as wide is a part of a car, or two cars; its middle need not be level
+    # Expected: refused, while the same roof on a car is proposed
+    assert len(propose(parked(width=56))) == 1
+    found = propose(parked(width=72))
+    assert len(found) == 0
+    assert any("1.4 times" in " ".join(region.properties["refused"]) for region in found.refused)
+
+
 def test_short_roof_behind_one_window__may_slope() -> None:
     # Rationale: the roof of a pickup ends at its bed, and roofs of some slope
     # Expected: its lean is less certain than that of a roof between windows, or of a long one
