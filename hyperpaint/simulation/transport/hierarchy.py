@@ -165,8 +165,8 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _W
     _push(room.waiting, 0, 0, order.size, 0, 0)
     while size > 0:
         size -= 1
-        run = room.waiting[size]
-        start, stop, level, child = run[0], run[1], run[2], run[3]
+        start, stop = room.waiting[size, 0], room.waiting[size, 1]
+        level, child = room.waiting[size, 2], room.waiting[size, 3]
         # the boxes of the run's triangles and of their centres
         _clear(room.boxes, _TOTAL)
         _clear(room.boxes, _CENTRES)
@@ -227,7 +227,6 @@ class Geometry(NamedTuple):
     # face_material, face_instance: (face,) int32: labels
     face_material: Array
     face_instance: Array
-    face_number: Array  # (face,) int64: number of the face in the input
 
 
 def build_geometry(
@@ -325,7 +324,6 @@ def build_geometry(
         np.ascontiguousarray(corner_normals).ravel(),
         material[order],
         instance[order],
-        order,
     )
 
 

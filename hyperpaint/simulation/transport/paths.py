@@ -372,9 +372,9 @@ def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direc
         beside = column - first_column
         for function in range(CLEAR_SKY_FUNCTIONS):
             # bilinear in both angles
-            sky = sources.skies[sun, function, first_row : first_row + 2, first_column : first_column + 2]
-            radiance = (1.0 - below) * ((1.0 - beside) * sky[0, 0] + beside * sky[0, 1]) + below * (
-                (1.0 - beside) * sky[1, 0] + beside * sky[1, 1]
+            sky, a, b = sources.skies[sun, function], first_row, first_column
+            radiance = (1.0 - below) * ((1.0 - beside) * sky[a, b] + beside * sky[a, b + 1]) + below * (
+                (1.0 - beside) * sky[a + 1, b] + beside * sky[a + 1, b + 1]
             )
             add_path(table, code | (FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function), beta * radiance)
 
@@ -390,11 +390,9 @@ class _Workspace(NamedTuple):
     stack: Array  # (STACK,) nodes of a traversal
     entries: Array  # (STACK,) distances at which the ray enters these nodes
     table: PathTable
-    labels: Array  # (sample,) distinct pairs of labels
-    votes: Array  # (sample,) number of samples by pair of labels
-    first_hits: Array  # (5,) sums over the first hits: count, distance, x, y, z
-    lit_hits: Array  # (sun,) number of first hits lit by a sun
-    cosines: Array  # (sun,) sum of cosines over the first hits
+    # (5 + 2 suns,) sums over the first hits: count, distance, x, y, z; then for every sun the number of hits
+    # that it lights, and the cosines
+    first_hits: Array
 
 
 class _Scene(NamedTuple):
@@ -498,30 +496,29 @@ def trace_lines(
         table=PathTable(
             np.full(size, -1), np.zeros(size), np.empty(max_codes, np.int64), np.zeros(1, np.int64)
         ),
-        labels=np.empty(settings.samples, np.int64),
-        votes=np.empty(settings.samples, np.int64),
-        first_hits=np.zeros(5),
-        lit_hits=np.zeros(len(suns)),
-        cosines=np.zeros(len(suns)),
+        first_hits=np.zeros(5 + 2 * len(suns)),
     )
-    _trace(_Scene(geometry, surfaces, sources), rays, settings, room, block)
+    votes = np.empty((2, settings.samples), np.int64)
+    _trace(_Scene(geometry, surfaces, sources), rays, settings, room, votes, block)
 
 
 @borrowing_kernel
-def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, block: Block) -> None:
+def _trace(
+    scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, votes: Array, block: Block
+) -> None:
+    # ``votes`` (2, sample): distinct pairs of labels, and the number of samples of every pair
     mask = 1
     while mask < settings.samples:
         mask *= 2
-    table, labels, votes, first_hits = room.table, room.labels, room.votes, room.first_hits
+    table, first_hits = room.table, room.first_hits
     for line in range(block.material.shape[0]):
         number = settings.first_line + line
         for column in range(block.material.shape[1]):
             for i in range(table.in_use[0]):
                 table.codes[table.used[i]] = -1
             table.in_use[0] = 0
-            first_hits[:] = 0.0
-            room.lit_hits[:] = 0.0
-            room.cosines[:] = 0.0
+            for i in range(first_hits.size):
+                first_hits[i] = 0.0
             key = pixel_key(settings.seed, number, column)
             # count the labels of the samples
             distinct = 0
@@ -529,27 +526,27 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, bloc
                 path_key = _PathKey(settings.seed, number, column, sample, key, mask - 1)
                 label = _trace_sample(scene, rays, line, path_key, settings, room)
                 at = 0
-                while at < distinct and labels[at] != label:
+                while at < distinct and votes[0, at] != label:
                     at += 1
                 if at == distinct:
-                    labels[at], votes[at] = label, 0
+                    votes[0, at], votes[1, at] = label, 0
                     distinct += 1
-                votes[at] += 1
-            best = 0
+                votes[1, at] += 1
+            label, most = votes[0, 0], votes[1, 0]
             for i in range(1, distinct):
-                if votes[i] > votes[best] or (votes[i] == votes[best] and labels[i] < labels[best]):
-                    best = i
-            block.material[line, column] = labels[best] >> 32 if labels[best] >= 0 else -1
-            block.instance[line, column] = labels[best] & 0xFFFFFFFF if labels[best] >= 0 else -1
-            block.purity[line, column] = votes[best] / settings.samples
+                if votes[1, i] > most or (votes[1, i] == most and votes[0, i] < label):
+                    label, most = votes[0, i], votes[1, i]
+            block.material[line, column] = label >> 32 if label >= 0 else -1
+            block.instance[line, column] = label & 0xFFFFFFFF if label >= 0 else -1
+            block.purity[line, column] = most / settings.samples
             # means over the first hits
             share = 1.0 / first_hits[0] if first_hits[0] > 0 else np.nan
             block.distance[line, column] = first_hits[1] * share
             for k in range(3):
                 block.position[line, k, column] = first_hits[2 + k] * share
-            for sun in range(room.lit_hits.size):
-                block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
-                block.incidence[line, sun, column] = room.cosines[sun] * share
+            for sun in range(scene.sources.suns.shape[0]):
+                block.sun_visibility[line, sun, column] = first_hits[5 + 2 * sun] * share
+                block.incidence[line, sun, column] = first_hits[6 + 2 * sun] * share
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
             write_paths(table, 1.0 / max(first_hits[0], 1.0), draw, block.weight, block.code, line, column)
             if first_hits[0] == 0.0:  # no sample hits a surface
@@ -598,7 +595,7 @@ def _towards_sun(sources: Sources, sun: int, path_key: _PathKey, bounce: int) ->
 @borrowing_kernel
 def _trace_sample(
     scene: _Scene, rays: Rays, line: int, path_key: _PathKey, settings: Settings, room: _Workspace
-) -> int:
+) -> Any:
     # trace a sample of a pixel; return the labels of its first hit, -1 for the sky
     geometry, surfaces, sources = scene
     u, v = even_pair(path_key.key, path_key.sample, _PIXEL, path_key.mask)
@@ -607,7 +604,7 @@ def _trace_sample(
     distance, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
     if face < 0:
         return -1
-    material = geometry.face_material[face]
+    material: Any = np.int64(geometry.face_material[face])
     hit, point = hit_at(geometry, face, weights, direction, surfaces.numbers[material, WAVINESS])
     back = (-direction[0], -direction[1], -direction[2])
     lobes = lobes_at(surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), MIN_ALPHA)
@@ -617,7 +614,7 @@ def _trace_sample(
         room.first_hits[2 + k] += point[k]
     for sun in range(sources.suns.shape[0]):
         cosine = dot(hit.frame[2], (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2]))
-        room.cosines[sun] += max(cosine, 0.0)
+        room.first_hits[6 + 2 * sun] += max(cosine, 0.0)
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
     _record_suns(scene, room, hit, lobes, codes, 1.0, path_key, 0)
     if lobes.refraction > 1.0:
@@ -646,8 +643,7 @@ def _trace_sample(
             scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), path_key, settings, 0
         )
     # pack the two labels into a number that sorts by material first
-    label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])  # type: ignore[assignment]
-    return label
+    return material << 32 | np.int64(geometry.face_instance[face])
 
 
 @borrowing_kernel
@@ -708,7 +704,7 @@ def _follow(
         if spent >= settings.depth:  # the code has no space for another factor
             return
         hit, point = hit_at(geometry, face, weights, direction, 0.0)
-        material = geometry.face_material[face]
+        material: Any = np.int64(geometry.face_material[face])
         view = in_frame(hit.frame, (-direction[0], -direction[1], -direction[2]))
         lobes = lobes_at(surfaces, material, view, view, least_alpha)
         code |= INDIRECT
@@ -775,4 +771,4 @@ def _record_suns(
             add_path(room.table, codes.recycled | FIRST_SUN + sun, beta * recycled * (1.0 - lobes.share))
             add_path(room.table, codes.twice | FIRST_SUN + sun, beta * recycled * lobes.share)
         if bounce == 0:
-            room.lit_hits[sun] += 1.0
+            room.first_hits[5 + 2 * sun] += 1.0

@@ -81,7 +81,7 @@ def test_rays_meet_what_trying_all_finds(name: str) -> None:
         if face >= 0:
             hits += 1
             np.testing.assert_allclose(
-                weights @ triangles[geometry.face_number[face]], origin + distance * direction, atol=1e-6
+                weights @ triangles[geometry.face_material[face]], origin + distance * direction, atol=1e-6
             )
             assert met(geometry, origin, direction, distance * (1 - 1e-9))[1] == -1
     assert hits > 3 or not COMPILED
@@ -126,7 +126,7 @@ def test_flat_boxes_are_met_edge_on_and_from_within() -> None:
 def test_nothing_and_triangles_without_area_are_not_met() -> None:
     for triangles in (np.empty((0, 3, 3)), np.ones((5, 3, 3)), np.arange(9.0).reshape(1, 3, 3)):
         geometry = geometry_of(triangles)
-        assert len(geometry.face_number) == 0
+        assert len(geometry.face_material) == 0
         assert met(geometry, np.array([1.0, 1, 5]), np.array([0, 0, -1.0]))[1] == -1
 
 
@@ -145,12 +145,13 @@ def test_leaves_hold_every_triangle_once_and_branches_stay_short() -> None:
         geometry = geometry_of(triangles)
         packed = -(geometry.links[geometry.links < 0] + 1)
         runs = [np.arange(value >> 4, (value >> 4) + (value & 15)) for value in packed]
-        np.testing.assert_array_equal(np.sort(np.concatenate(runs)), np.arange(len(geometry.face_number)))
-        assert len(np.unique(geometry.face_number)) == len(geometry.face_number)
+        np.testing.assert_array_equal(np.sort(np.concatenate(runs)), np.arange(len(geometry.face_material)))
+        assert len(np.unique(geometry.face_material)) == len(geometry.face_material)
         assert depths(geometry) < STACK
-        np.testing.assert_array_equal(geometry.face_material, geometry.face_number)
+        np.testing.assert_array_equal(geometry.triangles.reshape(-1, 3, 3), triangles[geometry.face_material])
+        np.testing.assert_array_equal(geometry.face_instance, geometry.face_material)
         box = geometry.nodes.reshape(-1, 2, 3, 2)[0, 0]
-        used = triangles[geometry.face_number].reshape(-1, 3)
+        used = triangles[geometry.face_material].reshape(-1, 3)
         np.testing.assert_allclose(box[:, 0], used.min(axis=0), atol=1e-9)
         np.testing.assert_allclose(box[:, 1], used.max(axis=0), atol=1e-9)
 
@@ -164,8 +165,8 @@ def test_ever_smaller_triangles_do_not_outgrow_the_stack() -> None:
 def test_shading_normals_are_unit_or_absent() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     normals = np.array([[0, 0, 2.0], [0, 3.0, 0], [1, 0, 0], [0, 0, 0]])
-    geometry = build_geometry(corners, [[0, 1, 2], [1, 3, 2]], normals, [0, 0], [0, 0])
-    smooth = geometry.corner_normals.reshape(2, 3, 3)[np.argsort(geometry.face_number)]
+    geometry = build_geometry(corners, [[0, 1, 2], [1, 3, 2]], normals, [0, 0], [0, 1])
+    smooth = geometry.corner_normals.reshape(2, 3, 3)[np.argsort(geometry.face_instance)]
     np.testing.assert_array_equal(smooth[0], [[0, 0, 1], [0, 1, 0], [1, 0, 0]])
     np.testing.assert_array_equal(smooth[1], 0)
 
@@ -202,6 +203,6 @@ def test_a_million_triangles_are_sorted_in_seconds() -> None:
     begin = time.process_time()
     geometry = build_geometry(corners, faces, np.zeros_like(corners), labels, labels)
     assert time.process_time() - begin < 20
-    assert len(geometry.face_number) == 2 * n * n
+    assert len(geometry.face_material) == 2 * n * n
     assert depths(geometry) < STACK
     assert met(geometry, np.array([300.2, 400.7, 50.0]), np.array([0.0, 0, -1]))[1] >= 0
