@@ -549,20 +549,19 @@ def _unit_surface(index: float, alpha: float) -> Any:
 def lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
     # lobes of a smooth coat (index 0: no coat) over a base only, and over flakes of an alpha (0: no flakes)
     # only, for light and view at zenith angles with a difference of azimuth [degree]
-    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, turned_part
+    from hyperpaint.simulation.transport.surfaces import weights_under_coat
 
     surfaces = _unit_surface(index, alpha)
     a, b, turn = np.radians([light, view, azimuth])
     towards_light = float(np.sin(a)), 0.0, float(np.cos(a))
     towards_view = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
-    lobes = lobes_at(surfaces, 0, towards_view, towards_view, 0.0)
-    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards_light, towards_light, 0.0)
+    base, flakes, recycled, turned = weights_under_coat(surfaces, towards_light, towards_view)
     scale = (2.0 if alpha else 1.0) / towards_light[2]  # with flakes, half of the light meets them
     return _Lobes(
         scale * base,
         2.0 * flakes / towards_light[2],
         2.0 * recycled / towards_light[2],
-        turned_part(lobes, towards_light),
+        turned,
     )
 
 

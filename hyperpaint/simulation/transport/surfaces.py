@@ -313,6 +313,15 @@ def sun_weights(
 
 
 @borrowing_kernel
+def weights_under_coat(surfaces: Surfaces, light: Vector, view: Vector) -> tuple[float, float, float, float]:
+    # pi f cos_i of base, flakes and recycled light of the first material for a point sun, and the share of
+    # the flakes' turned spectrum
+    lobes = lobes_at(surfaces, 0, view, view, 0.0)
+    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, light, light, 0.0)
+    return base, flakes, recycled, turned_part(lobes, light)
+
+
+@borrowing_kernel
 def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
     # directional dependence of recycled light, with the mean 1 over diffuse light
     mean = numbers[material, _RETURNED]
