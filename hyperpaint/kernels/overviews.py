@@ -18,8 +18,8 @@ def average_blocks(values: Array, side: int, out: Array) -> None:
     sums, counts = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for row in range(out.shape[0]):
         for band in range(bands):
-            sums[:] = _ZERO
-            counts[:] = _ZERO
+            for x in range(columns):
+                sums[x] = counts[x] = _ZERO
             for line in range(row * side, min((row + 1) * side, lines)):
                 for x in range(columns):
                     value = values[line, band, x]
@@ -44,12 +44,12 @@ def mix_bands(values: Array, weights: Array, out: Array) -> None:
     filled, fallback = np.empty(columns, np.float32), np.empty(columns, np.float32)
     sums = np.empty((3, columns), np.float32)
     for line in range(lines):
-        fallback[:] = _ZERO
+        for x in range(columns):
+            fallback[x] = sums[0, x] = sums[1, x] = sums[2, x] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
                 fallback[x] = _ONE if value == value else fallback[x]
-        sums[:] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
@@ -58,5 +58,4 @@ def mix_bands(values: Array, weights: Array, out: Array) -> None:
                 for x in range(columns):
                     sums[colour, x] += filled[x] * weights[colour, band, x]
         for x in range(columns):
-            for colour in range(3):
-                out[line, x, colour] = sums[colour, x]
+            out[line, x, 0], out[line, x, 1], out[line, x, 2] = sums[0, x], sums[1, x], sums[2, x]

@@ -391,17 +391,18 @@ def integrate_bands(
     # out : (node, path, band), float32: output
     grid, width = weights.shape[2], weights.shape[3]
     nodes, bands = out.shape[0], out.shape[2]
-    product = np.empty(grid, np.float64)
-    total = np.empty(bands, np.float64)
+    product, total = np.empty(grid, np.float64), np.empty(bands, np.float64)
     for path in range(path_factors.shape[0]):
-        product[:] = 1.0
+        for point in range(grid):
+            product[point] = 1.0
         for digit in range(path_factors.shape[1]):
             factor = path_factors[path, digit]
             if factor >= 0:
                 for point in range(grid):
                     product[point] *= factors[factor, point]
         for node in range(nodes):
-            total[:] = 0.0
+            for band in range(bands):
+                total[band] = 0.0
             if source[path] >= 0:
                 row = weights[source[path], node]
                 for point in range(grid):
