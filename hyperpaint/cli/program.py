@@ -204,9 +204,13 @@ Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong,
 def main(ctx: click.Context, quiet: bool, memory_limit: str | None, scheduler: str | None) -> None:  # noqa: ARG001
     """Turn the raw counts of a pushbroom camera into calibrated reflectance."""
     if memory_limit is not None or ctx.invoked_subcommand in PLANNED:
+        import zarr
+
         from hyperpaint.io.store import budget
 
         ctx.with_resource(budget.memory_limit(memory_limit))
+        # each of zarr's threads keeps the memory of the largest chunk that it decoded
+        ctx.with_resource(zarr.config.set({"threading.max_workers": budget.thread_count()}))
     if scheduler is not None:
         from hyperpaint.workflows.pipeline import computing_on
 

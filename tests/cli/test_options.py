@@ -14,6 +14,7 @@ import click
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.shell_completion import ShellComplete
 from support.commands import hyperpaint
 
@@ -21,7 +22,7 @@ import hyperpaint as hp
 from hyperpaint.base.facts import PARAMETERS
 from hyperpaint.cli.options import Settings, parameters_of
 from hyperpaint.cli.program import GROUPS, main
-from hyperpaint.io.store import open_group, to_store
+from hyperpaint.io.store import budget, open_group, to_store
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.report.summaries import with_times
 from hyperpaint.simulation import simulate_line
@@ -54,6 +55,21 @@ def test_help_of_the_program_is_one_screen() -> None:
         assert re.search(rf"^  {group} ", shown, re.MULTILINE)
         for name in commands:
             assert re.search(rf" {name} ", shown)
+
+
+def test_zarr_has_as_many_threads_as_dask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    counts = []
+
+    def write_report(*_: object, **__: object) -> None:
+        counts.append(zarr.config.get("threading.max_workers"))
+        raise hp.errors.StoreError("no report", code="store-empty")
+
+    before = zarr.config.get("threading.max_workers")
+    monkeypatch.setattr(budget, "thread_count", lambda: 3)
+    monkeypatch.setattr(hp.report, "write_report", write_report)
+    hyperpaint("report", tmp_path, "--out", tmp_path / "page.html", status=2)
+    assert counts == [3]
+    assert zarr.config.get("threading.max_workers") == before
 
 
 @pytest.mark.parametrize("name", NAMES)
