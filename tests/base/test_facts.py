@@ -1,13 +1,12 @@
 """Facts: checks, messages, docstrings and tables that follow from one declaration."""
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from support.key_tables import DOCS, PAGES, key_table, with_tables
 from support.refusals import expect_error, expect_words
 
 from hyperpaint.base.errors import Problems, SchemaError
@@ -23,9 +22,6 @@ from hyperpaint.base.facts import (
     is_number,
 )
 from hyperpaint.simulation.settings import SimulationSettings
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-from key_tables import DOCS, PAGES, key_table, with_tables
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,9 @@ pint = pytest.importorskip("pint")
 
 
 class Registry(pint.LazyRegistry):  # type: ignore[misc]
-    # A registry takes a second; it is read on first use, which is not when pytest asks for ``__test__``
+    # A registry takes a second; it is read on first use, which is not when pytest looks for tests
     __test__ = False
+    _mock_name = ""
 
 
 FIRST = Registry(kwargs={"force_ndarray_like": True})

@@ -1,6 +1,7 @@
 """Relighting: products of spectra over bands, against theory, a sum by hand, and through the chain."""
 
 import dataclasses
+import functools
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -509,9 +510,12 @@ def test_an_instance_of_many_materials_has_no_one_paint() -> None:
 
 NAMES = list(CAR_PAINTS)
 CODES = PathCodes.of(len(NAMES), 4)
-LIGHT = Atmosphere.clear(60.0)
-SOURCES = {0: LIGHT.sky, 2: LIGHT.sun}
 GRID = np.arange(350.0, 1050.0, 0.05)
+
+
+@functools.cache
+def clear() -> Atmosphere:
+    return Atmosphere.clear(60.0)
 
 
 def paints(grid: np.ndarray) -> np.ndarray:
@@ -531,8 +535,17 @@ def some_codes(number: int = 400, seed: int = 0) -> np.ndarray:
     return np.unique(made)
 
 
+def table_of(
+    bands: BandSet, sources: dict[int, np.ndarray] | None = None, *, codes: PathCodes = CODES, **more: Any
+) -> ProductTable:
+    light = clear()
+    sources = {0: light.sky, 2: light.sun} if sources is None else sources
+    return ProductTable(bands, codes, light.wavelength, sources, **{"factors": paints, **more})
+
+
 def product(code: int, grid: np.ndarray = GRID) -> np.ndarray:
-    made = np.interp(grid, LIGHT.wavelength, SOURCES[code % 8]) / np.pi
+    source = clear().sun if code % 8 else clear().sky
+    made = np.interp(grid, clear().wavelength, source) / np.pi
     for factor in CODES.factors(np.array([code]))[0]:
         if factor >= 0:
             made = made * CAR_PAINTS[NAMES[factor]](grid)
@@ -582,7 +595,7 @@ def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any
     # Sharp lines and steep edges; the sum itself is no better than some 1e-5
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(fwhm), shape, None, responsivity)
     codes = some_codes()[::97]
-    rows = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints).rows(codes)
+    rows = table_of(bands).rows(codes)
     assert (rows.dtype, rows.shape) == (np.float32, (1, codes.size, 272))
     grid = np.arange(350.0, 1050.0, 0.05 if fwhm > 3.0 else 0.01)
     for row, code in zip(rows[0], codes.tolist(), strict=True):
@@ -592,13 +605,7 @@ def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any
 def test_the_slope_of_the_responsivity_counts() -> None:
     centres = np.linspace(750.0, 775.0, 12)
     flat, sloping = (
-        ProductTable(
-            BandSet(centres, np.array(6.0), "gaussian", None, response),
-            CODES,
-            LIGHT.wavelength,
-            SOURCES,
-            paints,
-        ).rows(np.array([2]))
+        table_of(BandSet(centres, np.array(6.0), "gaussian", None, response)).rows(np.array([2]))
         for response in (None, lambda nm: 1.0 - 0.03 * (nm - 760.0))
     )
     assert np.abs(flat / sloping - 1).max() > 0.005
@@ -608,7 +615,7 @@ def test_columns_see_their_own_wavelengths() -> None:
     shift = 1.5 * np.linspace(-1.0, 1.0, 9) ** 2
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(6.0), "gaussian", shift)
     codes = some_codes()[::61]
-    seen = at_columns(ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints), codes)
+    seen = at_columns(table_of(bands), codes)
     for column in (0, 1, 4, 7):
         for place, code in enumerate(codes.tolist()):
             np.testing.assert_allclose(
@@ -619,7 +626,7 @@ def test_columns_see_their_own_wavelengths() -> None:
 @pytest.mark.parametrize("shift", [None, np.linspace(-0.6, 0.7, 5)], ids=["no smile", "smile"])
 def test_mixing_is_the_weighted_sum_over_paths(shift: Any) -> None:
     bands = BandSet(np.linspace(450.0, 900.0, 7), np.array(6.0), wavelength_shift=shift)
-    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    table = table_of(bands)
     rng, known = np.random.default_rng(1), some_codes(6)
     codes = rng.choice(known, (2, 3, 5))
     codes[:, 2, :2] = -1  # empty slots, whatever their weight
@@ -636,7 +643,7 @@ def test_mixing_is_the_weighted_sum_over_paths(shift: Any) -> None:
 
 def test_an_imager_integrates_without_norm() -> None:
     camera = Camera.of(SimulationSettings(bands=40, columns=7, smile_nm=0.8, srf_shape="slit"))
-    table = ProductTable(BandSet.of(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False)
+    table = table_of(BandSet.of(camera.imager), normalise=False)
     codes = some_codes()[::97]
     grid = np.arange(340.0, 1080.0, 0.05)
     expected = camera.imager.integrals(
@@ -646,20 +653,20 @@ def test_an_imager_integrates_without_norm() -> None:
 
 
 def test_a_source_without_light_gives_nothing() -> None:
-    table = ProductTable(BandSet.of(), CODES, LIGHT.wavelength, {2: LIGHT.sun, 3: 0 * LIGHT.sun}, paints)
+    light = clear()
+    table = table_of(BandSet.of(), {2: light.sun, 3: 0 * light.sun})
     assert not table.rows(np.array([0, 1, 3, 4])).any()
     np.testing.assert_allclose(
         table.irradiance(2)[0],
-        seen_by(BandSet.of(), GRID, np.interp(GRID, LIGHT.wavelength, LIGHT.sun)),
+        seen_by(BandSet.of(), GRID, np.interp(GRID, light.wavelength, light.sun)),
         rtol=1e-4,
     )
 
 
 def test_who_asks_first_changes_no_bit() -> None:
     codes = some_codes()
-    args = (BandSet.of(), CODES, LIGHT.wavelength, SOURCES, paints)
-    together = ProductTable(*args).rows(codes)
-    one_by_one, shared = ProductTable(*args), ProductTable(*args)
+    one_by_one, shared = table_of(BandSet.of()), table_of(BandSet.of())
+    together = table_of(BandSet.of()).rows(codes)
     for place in np.random.default_rng(1).permutation(codes.size)[:50]:
         np.testing.assert_array_equal(one_by_one.rows(codes[place : place + 1])[:, 0], together[:, place])
     np.testing.assert_array_equal(one_by_one.rows(codes), together)
@@ -675,7 +682,7 @@ def test_who_asks_first_changes_no_bit() -> None:
 
 def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatch) -> None:
     codes = some_codes()
-    table = ProductTable(BandSet.of(), CODES, LIGHT.wavelength, SOURCES, paints)
+    table = table_of(BandSet.of())
     empty = len(pickle.dumps(table))
     rows = table.rows(codes)
     assert len(pickle.dumps(table)) == empty
@@ -689,9 +696,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
 
 
 def test_codes_of_another_scene_are_refused() -> None:
-    table = ProductTable(
-        BandSet.of(), PathCodes.of(3, 4), LIGHT.wavelength, SOURCES, lambda nm: np.ones((2, nm.size))
-    )
+    table = table_of(BandSet.of(), codes=PathCodes.of(3, 4), factors=lambda nm: np.ones((2, nm.size)))
     assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
     with pytest.raises(SchemaError, match="path-code-unknown"):
         table.rows(np.array([code_of(0, 2, digit_bits=CODES.digit_bits)]))
@@ -724,8 +729,6 @@ def test_bands_that_cannot_be_are_all_named() -> None:
 @pytest.mark.parametrize("bands", [1, 2, 5, 272])
 def test_few_bands(bands: int) -> None:
     centres = np.linspace(420.0, 980.0, bands)
-    table = ProductTable(
-        BandSet(centres, np.array(6.0)), CODES, LIGHT.wavelength, {0: np.ones_like(LIGHT.sky)}, paints
-    )
+    table = table_of(BandSet(centres, np.array(6.0)), {0: np.ones_like(clear().sky)})
     np.testing.assert_allclose(table.rows(np.array([0])), 1 / np.pi, rtol=1e-6)
     assert BandResponses(BandSet(centres, np.array(6.0))).width <= bands

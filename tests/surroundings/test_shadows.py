@@ -1,5 +1,7 @@
 """Cast shadows among segments: told from dark glass and black paint by what lies around them."""
 
+import functools
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -141,19 +143,22 @@ def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
 
 LOW_SUN = 65.0
 BANDS = xr.Dataset(coords={"wavelength": ("band", NM)})
-LOW_LIGHT = Light.under(diffuse_fraction(NM, LOW_SUN), *split_of(BANDS, "model", LOW_SUN).mirrored())
-"""Under a low sun most of the sky's light is around it, and the zenith is much bluer than the mean."""
+
+
+@functools.cache
+def low_light() -> Light:
+    # Under a low sun most of the sky's light is around it, and the zenith is much bluer than the mean
+    return Light.under(diffuse_fraction(NM, LOW_SUN), *split_of(BANDS, "model", LOW_SUN).mirrored())
 
 
 def test_under_a_low_sun_shade_is_as_blue_as_the_zenith() -> None:
-    seen = 0.3 * ASPHALT * LOW_LIGHT.diffuse + 0.7 * ASPHALT * LOW_LIGHT.above
-    amount, misfit = solve(seen[None], ASPHALT[None], None, LOW_LIGHT)
+    light = low_light()
+    seen = 0.3 * ASPHALT * light.diffuse + 0.7 * ASPHALT * light.above
+    amount, misfit = solve(seen[None], ASPHALT[None], None, light)
     assert misfit[0] < 1e-3
     assert amount[0, 0] == 0.0
-    assert amount[0, 1] == pytest.approx(
-        0.3 + 0.7 * LOW_LIGHT.above.sum() / LOW_LIGHT.diffuse.sum(), rel=1e-4
-    )
-    assert solve(seen[None], ASPHALT[None], None, LOW_LIGHT._replace(above=LOW_LIGHT.diffuse))[1][0] > 0.03
+    assert amount[0, 1] == pytest.approx(0.3 + 0.7 * light.above.sum() / light.diffuse.sum(), rel=1e-4)
+    assert solve(seen[None], ASPHALT[None], None, light._replace(above=light.diffuse))[1][0] > 0.03
 
 
 @pytest.mark.parametrize(("is_coat", "shaded"), [(False, [1, 2]), (True, [1])])
@@ -162,10 +167,11 @@ def test_black_paint_in_the_sun_that_mirrors_the_sky_is_no_shadow(is_coat: bool,
     number[20:40, 10:50] = 1
     number[24:36, 14:30] = 2
     body = np.linspace(0.0065, 0.008, NM.size)
-    coat = body * (LOW_LIGHT.direct + LOW_LIGHT.diffuse) + 0.05 * LOW_LIGHT.above
-    shade = ASPHALT * (0.02 * LOW_LIGHT.direct + 0.7 * LOW_LIGHT.diffuse)
+    light = low_light()
+    coat = body * (light.direct + light.diffuse) + 0.05 * light.above
+    shade = ASPHALT * (0.02 * light.direct + 0.7 * light.diffuse)
     spectra = [ASPHALT, shade, coat if is_coat else 0.6 * shade]
-    assert matched(number, spectra, light=LOW_LIGHT) == shaded
+    assert matched(number, spectra, light=light) == shaded
 
 
 @pytest.mark.parametrize(("sky", "direct", "shaded"), [(0.6, 0.08, [1]), (0.9, 0.4, []), (0.2, 0.1, [])])
