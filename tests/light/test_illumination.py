@@ -1,16 +1,75 @@
-"""Irradiance of every band and column: in wavelength, over the smile and on a tilted panel."""
+"""The sun against pvlib's SPA, and the split of its light against published numbers."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
-from support.refusals import expect_errors
+from support.refusals import expect_errors, refusal
 
-from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
-from hyperpaint.light.illumination import Tilt, match_irradiance, smile_cells
+from hyperpaint.base.errors import PaintWarning, SchemaError, TimeError, UnitsError
+from hyperpaint.base.schema import Quality
+from hyperpaint.light.clear_sky import air_mass
+from hyperpaint.light.illumination import Tilt, line_light, match_irradiance, smile_cells, timing_sensitivity
 from hyperpaint.light.sun import diffuse_fraction, solar_position
+
+PLACES = [(43.08, -77.67), (-33.9, 151.2), (0.0, 0.0), (69.6, 18.9), (64.1, -21.9), (-54.8, -68.3)]
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), PLACES)
+def test_position_is_that_of_the_spa(latitude: float, longitude: float) -> None:
+    pvlib = pytest.importorskip("pvlib")
+    pandas = pytest.importorskip("pandas")
+    times = pandas.date_range("2019-01-03", "2027-12-30", freq="61h13min7s").astype("datetime64[ns]")
+    index = pandas.DatetimeIndex(times, tz="UTC")
+    expected = pvlib.solarposition.spa_python(index, latitude, longitude, delta_t=69.0)
+    zenith, azimuth = solar_position(times.values, latitude, longitude)
+    # in degrees on the sky
+    off = zenith - expected["zenith"].values
+    turn = (azimuth - expected["azimuth"].values + 180) % 360 - 180
+    turn *= np.sin(np.radians(zenith))
+    assert max(np.abs(off).max(), np.abs(turn).max()) < 0.0125
+    # 0.005; with a mean anomaly that is 0.3 degrees off it is 0.008
+    assert np.sqrt(np.mean(off**2 + turn**2)) < 0.006
+
+
+def test_units_of_time_and_missing_stamps() -> None:
+    stamps = np.array(["2020-06-21T17:15", "NaT"], "datetime64[s]")
+    zenith, azimuth = solar_position(stamps, 43.08, -77.67)
+    assert zenith[0] == pytest.approx(19.66, abs=0.05)
+    assert np.isnan([zenith[1], azimuth[1]]).all()
+    for unit in ("ms", "us", "ns"):
+        assert solar_position(stamps.astype(f"datetime64[{unit}]"), 43.08, -77.67)[0][0] == zenith[0]
+    assert np.isnan(solar_position(stamps[0], np.nan, 0.0)[0])
+
+
+def test_air_mass() -> None:
+    assert air_mass(0.0) == pytest.approx(1.0, abs=1e-3)
+    assert air_mass(60.0) == pytest.approx(1.994, abs=2e-3)
+    assert air_mass(85.0) == pytest.approx(10.3, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("zenith", "expected"),
+    [(28.0, [0.30, 0.23, 0.15, 0.10, 0.06]), (53.0, [0.40, 0.31, 0.19, 0.14, 0.08])],
+)
+def test_diffuse_fraction_of_the_notes(zenith: float, expected: list[float]) -> None:
+    found = diffuse_fraction([400.0, 450.0, 550.0, 650.0, 850.0], zenith)
+    np.testing.assert_allclose(found, expected, atol=0.03)
+
+
+def test_without_sun_all_light_is_diffuse() -> None:
+    for zenith in (90.5, 95.0, 120.0, 180.0):
+        np.testing.assert_array_equal(diffuse_fraction([450.0, 850.0], zenith), 1.0)
+    rising = [diffuse_fraction([550.0], z)[0] for z in (0.0, 30.0, 60.0, 75.0, 85.0, 89.9)]
+    assert (np.diff(rising) > 0).all()
+    assert rising[-1] <= 1.0
+
+
+# --- Irradiance of every band and column: in wavelength, over the smile and on a tilted panel
+
 
 START = np.datetime64("2020-06-21T17:00", "ns")
 SAMPLES = np.arange(480.0, 621.0)
@@ -187,3 +246,122 @@ def test_diffuse_light_is_that_of_the_side_it_faces() -> None:
     # at night, the sky is that of a sun at the horizon
     dark = np.array(["2020-12-21T05:00"], "datetime64[ns]")
     assert np.isfinite(Tilt(8.0, 0.0).factor(dark, 43.08, -77.67, nm)).all()
+
+
+# --- Which irradiance samples light each line, and what an error of the clocks could do
+
+
+def test_few_samples_and_gaps() -> None:
+    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
+    np.testing.assert_array_equal(light.weight, [0.0, np.nan])
+    # the largest gap is two and a half intervals
+    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns([0.0, 2, 4, 6, 10, 16, 18]), np.ones(7))
+    assert np.isnan(light.weight).tolist() == [False, False, True, False]
+    # far from 1970 no bit is lost
+    assert line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0).weight[0] == 1 / 3
+
+
+# --- neighbours --------------------------------------------------------------------------------------------
+
+
+@given(
+    steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
+    lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
+)
+def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
+    ticks = np.cumsum([0, *steps])
+    light = line_light(
+        START + np.array(lines).astype("timedelta64[ns]"),
+        START + ticks.astype("timedelta64[ns]"),
+        np.ones(ticks.size),
+        1e9,
+    )
+    for k, now in enumerate(lines):
+        if now < 0 or now > ticks[-1]:
+            assert np.isnan(light.weight[k])
+            assert light.flags[k] == Quality.IRRADIANCE_GAP
+            continue
+        low, high = ticks[light.before[k]], ticks[light.after[k]]
+        assert low <= now <= high
+        assert light.weight[k] == (now - low) / (high - low)
+        assert light.age[k] == np.float32(min(now - low, high - now) / 1e9)
+        assert light.flags[k] == 0
+
+
+def test_spectra_without_a_value_are_passed_over() -> None:
+    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), np.array([1.0, np.nan, 1.0]), 5.0)
+    assert (light.before.tolist(), light.after.tolist()) == ([0, 0], [2, 2])
+    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
+    with pytest.raises(TimeError, match="irradiance-empty"):
+        line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
+
+
+# --- clocks ------------------------------------------------------------------------------------------------
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    samples=st.integers(2, 30),
+    within=st.floats(0.0, 30.0),
+)
+def test_sensitivity_is_the_worst_of_all_offsets(seed: int, samples: int, within: float) -> None:
+    rng = np.random.default_rng(seed)
+    ticks = np.cumsum(rng.integers(1, 5 * 10**9, samples))
+    levels = rng.uniform(0.2, 1.0, (samples, 3))
+    lines = rng.integers(ticks[0], ticks[-1] + 1, 7)
+    got = timing_sensitivity(lines, ticks, levels, within)
+    u = round(within * 1e9)
+    for line, found in zip(lines, got, strict=True):
+        # every offset of a fine grid, and those that meet a sample exactly
+        offsets = np.concatenate([np.linspace(-u, u, 101).round(), ticks[np.abs(ticks - line) <= u] - line])
+        changes = []
+        for interval in range(3):
+            here = np.interp(line, ticks, levels[:, interval])
+            ratio = np.interp(line + offsets, ticks, levels[:, interval]) / here
+            changes += [ratio.max() - 1, 1 / ratio.min() - 1]
+        assert found == pytest.approx(max(changes), abs=1e-6)
+
+
+def test_a_known_clock_lifts_the_flag() -> None:
+    # Light that falls by 10 % in 20 s: at 0.5 %/s a clock known to 2 s makes 1 %
+    samples, times = np.arange(0.0, 101.0, 2.0), ns([10.0, 50.0, 95.0])
+    levels = 1.0 - 0.1 * np.clip((samples - 40) / 20, 0, 1)
+    for clock, flagged in ((None, [True] * 3), (5.0, [False, True, False]), (1.0, [False] * 3)):
+        light = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=clock)
+        assert (light.flags & Quality.TIMING_SENSITIVE > 0).tolist() == flagged
+    assert light.sensitivity.dtype == np.float32
+    assert light.sensitivity[1] == pytest.approx(0.005 / (0.95 - 0.005), rel=1e-4)
+    # of a clear sky, 0.1 %/min, as near noon, is 0.07 % in 40 s
+    samples = np.arange(0.0, 601.0, 2.0)
+    light = line_light(ns([100.0, 300.0]), ns(samples), 1.0 - 0.001 * samples / 60, 5.0)
+    assert not light.flags.any()
+    assert light.sensitivity.max() < 0.001
+    # one sample tells nothing of timing
+    assert timing_sensitivity(np.array([5]), np.array([5]), np.ones((1, 2)), 40.0).tolist() == [0.0]
+
+
+def test_impossible_seconds_are_named_together() -> None:
+    with refusal(SchemaError, "value-out-of-range", "max_gap", "-1 s", "clock_uncertainty", "-2 s"):
+        line_light(ns([0.0]), ns([0.0]), np.ones(1), -1.0, clock_uncertainty=-2.0)
+
+
+@pytest.mark.parametrize(
+    ("flag", "limit", "level"),
+    [
+        (Quality.ILLUMINATION_UNSTABLE, 0.02, lambda change: np.array([1.0, 1.0 + change])),
+        (Quality.TIMING_SENSITIVE, 0.01, lambda change: np.array([1.0, 1.0 + 2.0 * change])),
+    ],
+)
+def test_flags_of_changing_light_have_their_limits(flag: Quality, limit: float, level: Callable) -> None:
+    # the line is in the middle of two samples, and the clocks agree to half their interval
+    for share in (0.7, 1.5):
+        flags = line_light(ns([5.0]), ns([0.0, 10.0]), level(share * limit), clock_uncertainty=5.0).flags
+        assert bool(flags[0] & flag) == (share > 1.0)
+
+
+def test_the_flag_of_a_low_sun_begins_at_75_degrees() -> None:
+    morning = np.datetime64("2024-04-03T06:00", "ns") + np.arange(0, 7200, 60).astype("timedelta64[s]")
+    zenith, _ = solar_position(morning, 0.0, 0.0)
+    place = np.zeros(morning.size)
+    flags = line_light(morning, morning[[0, -1]], np.ones(2), 1e9, place, place).flags
+    np.testing.assert_array_equal((flags & Quality.LOW_SUN) != 0, zenith > 75.0)
