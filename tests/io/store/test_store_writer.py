@@ -446,3 +446,133 @@ def test_import_stays_light() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+# --- What stands in a group's place, and around it, is not lost; what is damaged there can be mended
+
+
+def line(value: int = 1) -> xr.Dataset:
+    counts = np.full((70, 2, 3), value, "uint16")
+    return xr.Dataset({"counts": (("along_track", "band", "cross_track"), counts)})
+
+
+@pytest.fixture
+def occupied(tmp_path: Path) -> Path:
+    to_store(line(), tmp_path / "lot.zarr", GROUP)
+    return tmp_path / "lot.zarr"
+
+
+def holds(occupied: Path, value: int, group: str = GROUP) -> bool:
+    return verify(occupied).ok and bool((open_store(occupied, group).counts == value).all())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("name", [".zarr.json.4711", f"zarr.{'ab' * 16}.partial"])
+def test_a_writer_killed_at_its_first_metadata_is_no_other_store(name: str, tmp_path: Path) -> None:
+    occupied = tmp_path / "lot.zarr"
+    occupied.mkdir()
+    (occupied / name).write_text("{")
+    to_store(line(), occupied, GROUP)
+    assert holds(occupied, 1)
+    assert not (occupied / name).exists()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda occupied: (occupied / "flightlines/zarr.json").write_text("{"),
+        lambda occupied: (occupied / "flightlines/zarr.json").unlink(),
+        lambda occupied: (occupied / "flightlines/zarr.json").write_text('{"node_type": "group"'),
+    ],
+)
+@pytest.mark.parametrize("group", [None, "flightlines"])
+def test_groups_below_damaged_metadata_are_not_lost(
+    damage: Callable[[Path], object], group: str | None, occupied: Path
+) -> None:
+    damage(occupied)
+    before = contents(occupied)
+    for overwrite in (True, False):
+        expect_error(
+            StoreError, "group-occupied", partial(to_store, line(2), occupied, group, overwrite=overwrite)
+        )
+        assert contents(occupied) == before
+
+
+def test_a_folder_of_somebody_elses_is_not_lost(occupied: Path) -> None:
+    (occupied / "photos/2026").mkdir(parents=True)
+    (occupied / "photos/2026/a.jpg").touch()
+    expect_error(StoreError, "group-occupied", lambda: to_store(line(2), occupied, "photos", overwrite=True))
+    (occupied / "notes").mkdir()
+    (occupied / "notes/a.txt").touch()
+    (occupied / GROUP / "notes.txt").touch()
+    for group in ("notes", GROUP):
+        expect_error(
+            StoreError, "group-occupied", partial(to_store, line(2), occupied, group, overwrite=True)
+        )
+
+
+@pytest.mark.parametrize("place", [GROUP, f"{GROUP}/counts", "new"])
+def test_nothing_is_written_as_a_store_into_a_store(place: str, occupied: Path) -> None:
+    before = contents(occupied)
+    for group in (None, "g"):
+        expect_error(
+            StoreError,
+            "path-inside-store",
+            partial(to_store, line(2), occupied / place, group, overwrite=True),
+        )
+    assert contents(occupied) == before
+
+
+def test_damaged_arrays_do_not_keep_a_group_from_being_replaced(occupied: Path) -> None:
+    (occupied / GROUP / "counts/zarr.json").write_text("{")
+    to_store(line(2), occupied, GROUP, overwrite=True)
+    assert holds(occupied, 2)
+
+
+@pytest.mark.parametrize("damage", ["damaged", "missing"])
+@pytest.mark.parametrize("value", [1, 2])
+def test_a_root_is_rebuilt_when_asked_for(value: int, damage: str, occupied: Path) -> None:
+    to_store(line(5), occupied, "flightlines/raw_1")
+    if damage == "damaged":
+        (occupied / "zarr.json").write_text('{"attributes": {')
+    else:
+        (occupied / "zarr.json").unlink()
+    before = contents(occupied)
+    expect_error(StoreError, "metadata-damaged", lambda: to_store(line(value), occupied, GROUP))
+    assert contents(occupied) == before
+    to_store(line(value), occupied, GROUP, overwrite=True)
+    assert holds(occupied, value)
+    assert holds(occupied, 5, "flightlines/raw_1")
+    assert os.listdir(occupied.parent) == ["lot.zarr"]
+
+
+def test_a_damaged_group_above_is_rebuilt_when_asked_for(occupied: Path) -> None:
+    (occupied / "flightlines/zarr.json").write_text("[" * 1000)
+    expect_error(StoreError, "metadata-damaged", lambda: to_store(line(2), occupied, "flightlines/raw_1"))
+    to_store(line(2), occupied, "flightlines/raw_1", overwrite=True)
+    assert holds(occupied, 1)
+    assert holds(occupied, 2, "flightlines/raw_1")
+
+
+@pytest.mark.parametrize("group", [GROUP, None])
+def test_a_group_that_lacks_a_chunk_is_made_again(group: str | None, tmp_path: Path) -> None:
+    occupied = tmp_path / "lot.zarr"
+    to_store(line(), occupied, group)
+    (occupied / (group or "") / "counts/c/1/0/0").unlink()
+    to_store(line(), occupied, group)
+    assert holds(occupied, 1, group or "")
+    (occupied / (group or "") / "counts/c/1/0/0").unlink()
+    expect_error(StoreError, "store-exists", lambda: to_store(line(2), occupied, group))
+
+
+def test_a_store_behind_a_link_is_written_where_it_is(occupied: Path, tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    os.rename(occupied, tmp_path / "disk/lot.zarr")
+    occupied.symlink_to(tmp_path / "disk/lot.zarr")
+    to_store(line(2), occupied, GROUP, overwrite=True)
+    assert occupied.is_symlink()
+    assert holds(occupied, 2)
+    assert os.listdir(tmp_path / "disk") == ["lot.zarr"]
