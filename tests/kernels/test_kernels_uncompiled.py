@@ -9,7 +9,7 @@ from support import ROOT
 
 TRANSPORT = "simulation/transport/test_transport"
 FILES = (
-    *(f"kernels/test_kernels_{name}.py" for name in ("radiometry", "uncertainty", "gathering", "rays")),
+    *(f"kernels/test_kernels_{name}.py" for name in ("radiometry", "uncertainty", "rays")),
     *(f"{TRANSPORT}_{name}.py" for name in ("hierarchy", "surfaces", "paths", "mixing")),
 )
 
