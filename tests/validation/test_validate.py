@@ -22,6 +22,21 @@ from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.rendering.materials import coated_reflectance
 from hyperpaint.validation.validating import STATISTICS, join_detectors, statistics_of, uncertainty_of
 
+FIELD_NM = np.arange(380.0, 1021.0)
+LEVEL = seen(FIELD_NM, 3.0)
+PAINT = seen(NM, 6.0)
+INFRARED = np.arange(1100.0, 1300.0)
+
+
+def panel_of(value: float) -> xr.DataArray:
+    return xr.DataArray(
+        [value, value],
+        {"wavelength": ("wavelength", [300.0, 2500.0], {"units": "nm"})},
+        "wavelength",
+        attrs={"units": "1"},
+    )
+
+
 # --- common bands ------------------------------------------------------------------------------------------
 
 
@@ -30,12 +45,7 @@ def test_two_instruments_that_see_one_paint_agree() -> None:
     assert found.passed
     assert value_of(found, "rmse") < 1e-5
     # sampled at the centres of the bands, or seen twice as wide, it would not
-    assert (
-        np.abs(
-            np.interp(NM, np.arange(380.0, 1021.0), agreeing()[1]["reflectance"].values[0]) - seen(NM, 6.0)
-        ).max()
-        > 2e-4
-    )
+    assert np.abs(np.interp(NM, FIELD_NM, agreeing()[1]["reflectance"].values[0]) - PAINT).max() > 2e-4
     assert found.statistics["bands"].sel(part="all").item() == NM.size
     assert found.statistics["bands"].sel(part="VIS").item() == ((NM >= 400) & (NM < 700)).sum()
     assert found.statistics["coverage"].min() > 0.999
@@ -47,7 +57,7 @@ def test_statistics_are_those_of_plain_numpy() -> None:
     signatures["reflectance"].attrs["units"] = "1"
     found = hp.validate(signatures, references, parts={"red": (600.0, 700.0)}, tolerance=0.001)
     here = (NM >= 600) & (NM < 700)
-    s, r = signatures["reflectance"].values[0, here].astype(float), seen(NM, 6.0)[here]
+    s, r = signatures["reflectance"].values[0, here].astype(float), PAINT[here]
     d = s - r
     expected = {
         "bias": d.mean(), "rmse": np.sqrt((d**2).mean()), "mae": np.abs(d).mean(),
@@ -94,11 +104,12 @@ def test_bands_that_are_not_seen_whole_are_left_out_and_counted() -> None:
     assert (int(count["bands"]), int(count["bands_left_out"])) == (used.sum(), (~used).sum())
     edge = spectra["coverage"].values[(NM > 498) & (NM < 502)]
     # of a Gaussian of 6 nm by hand: from its end on
-    from math import erf
-
     np.testing.assert_allclose(
         edge,
-        [0.5 * (1 + erf((c - 500.0) / (6.0 / 2.3548) / np.sqrt(2))) for c in NM[(NM > 498) & (NM < 502)]],
+        [
+            0.5 * (1 + math.erf((c - 500.0) / (6.0 / 2.3548) / np.sqrt(2)))
+            for c in NM[(NM > 498) & (NM < 502)]
+        ],
         atol=0.03,
     )
     assert np.isnan(spectra["reference"].values[~used]).all()
@@ -170,7 +181,7 @@ def test_units_are_converted_and_wanted() -> None:
 def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
     line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
     region = hp.Regions((hp.Region("hood", [(0, 0), (2, 0), (2, 7), (0, 7)]),))
-    flat = field(np.full(np.arange(380.0, 1021.0).size, 0.3))
+    flat = field(np.full(FIELD_NM.size, 0.3))
     depths = []
     for shift in (0.0, 0.5):
         moved = line.assign_coords(wavelength=line.wavelength + shift)
@@ -186,35 +197,25 @@ def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
 
 
 def test_uncertainties_of_the_library_are_propagated() -> None:
-    nm = np.arange(380.0, 1021.0)
-    values = seen(NM, 6.0)
     found = hp.validate(
-        library(values, reflectance_u_random=np.full(NM.size, 0.003), reflectance_u_systematic=0.04 * values),
-        field(seen(nm, 3.0)),
+        library(PAINT, reflectance_u_random=np.full(NM.size, 0.003), reflectance_u_systematic=0.04 * PAINT),
+        field(LEVEL),
     )
-    expected = np.hypot(0.003 / np.sqrt(NM.size), 0.04 * values.mean())
+    expected = np.hypot(0.003 / np.sqrt(NM.size), 0.04 * PAINT.mean())
     assert value_of(found, "bias_u") == pytest.approx(expected, rel=0.08)
     assert value_of(found, "scale_u") == pytest.approx(0.04, rel=0.08)
     assert value_of(found, "spectral_angle_u") < np.degrees(0.02)  # what is common to all bands has no shape
-    np.testing.assert_allclose(found.spectra[0]["signature_u"], np.hypot(0.003, 0.04 * values), rtol=0.15)
+    np.testing.assert_allclose(found.spectra[0]["signature_u"], np.hypot(0.003, 0.04 * PAINT), rtol=0.15)
     assert any("of the reference is unknown" in note for note in found.notes[0])
 
 
 def test_repeated_readings_tell_their_own_uncertainty() -> None:
-    nm = np.arange(380.0, 1021.0)
-    levels = np.array([0.97, 1.0, 1.04, 1.01])
-    signatures, _ = agreeing()
-    found = hp.validate(
-        signatures,
-        field(np.outer(levels, seen(nm, 3.0)), [f"hood_{n}" for n in range(4)]),
-        {"hood": [f"hood_{n}" for n in range(4)]},
-    )
+    levels, names = np.array([0.97, 1.0, 1.04, 1.01]), [f"hood_{n}" for n in range(4)]
+    found = hp.validate(agreeing()[0], field(np.outer(levels, LEVEL), names), {"hood": names})
     assert found.statistics.sizes["pair"] == 1
     assert value_of(found, "scale") == pytest.approx(1 / levels.mean(), rel=1e-3)
     assert value_of(found, "scale_u") == pytest.approx(levels.std(ddof=1) / 2, rel=0.1)
-    np.testing.assert_allclose(
-        found.spectra[0]["reference_sd"], levels.std(ddof=1) * seen(NM, 6.0), rtol=1e-3
-    )
+    np.testing.assert_allclose(found.spectra[0]["reference_sd"], levels.std(ddof=1) * PAINT, rtol=1e-3)
 
 
 def test_nothing_known_is_said_so() -> None:
@@ -235,9 +236,9 @@ def test_a_standard_deviation_stands_for_an_unknown_uncertainty() -> None:
 
 
 def test_order_of_paints_changes_nothing() -> None:
-    values = np.stack([seen(NM, 6.0), 0.5 * seen(NM, 6.0)])
+    values = np.stack([PAINT, 0.5 * PAINT])
     paints = library(values, ("hood", "roof"), reflectance_u_random=np.full(values.shape, 0.01))
-    references = field(np.stack([smooth(np.arange(380.0, 1021.0))] * 2), ("hood", "roof"))
+    references = field(np.stack([smooth(FIELD_NM)] * 2), ("hood", "roof"))
     one = hp.validate(paints, references).statistics.set_index(pair="signature")
     assert one["rmse_u"].equals(
         hp.validate(paints.isel(signature=[1, 0]), references)
@@ -255,7 +256,7 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     )
     found = hp.validate(
         paints,
-        field([smooth(np.arange(380.0, 1021.0))] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"]),
+        field([smooth(FIELD_NM)] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"]),
     )
     pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
     assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
@@ -280,7 +281,7 @@ def test_pairs_by_place_where_no_name_matches() -> None:
     paints = placed(
         library([smooth(NM)] * 4, ("red-01", "red-02", "hood", "roof")), "signature", 0, 20, 40, 60
     )
-    spectra = [smooth(np.arange(380.0, 1021.0))] * 6
+    spectra = [smooth(FIELD_NM)] * 6
     # beside the first; between the next two; far away; named, and at a tie; without a fix; named, elsewhere
     names = ["a", "b", "c", "hood", "d", "roof"]
     references = placed(field(spectra, names), "spectrum", 2, 29, 500, 38, np.nan, 0.5)
@@ -310,7 +311,7 @@ def test_pairs_by_place_where_no_name_matches() -> None:
 
 def test_pairs_that_are_said() -> None:
     paints = library([smooth(NM)] * 2, ("hood", "roof"))
-    references = field([smooth(np.arange(380.0, 1021.0))] * 2, ["a", "b"])
+    references = field([smooth(FIELD_NM)] * 2, ["a", "b"])
     found = hp.validate(paints, references, {"roof": "a"})
     assert (found.statistics["signature"].values.tolist(), found.unpaired_signatures) == (["roof"], ("hood",))
     with pytest.raises(SchemaError) as refused:
@@ -336,8 +337,8 @@ def test_instruments_are_compared_with_each_other() -> None:
     # Expected: plain numpy of both on the coarser's channels, whatever the signature is; the mean of repeated
     # readings; and a verdict that decides nothing about the signature
     nm = np.arange(390.0, 1011.0, 1.5)
-    paints = library(2.0 * seen(NM, 6.0))
-    asd = field(np.outer([0.98, 1.02], seen(np.arange(380.0, 1021.0), 3.0)), ["hood_0", "hood_1"])
+    paints = library(2.0 * PAINT)
+    asd = field(np.outer([0.98, 1.02], LEVEL), ["hood_0", "hood_1"])
     svc = field(1.03 * seen(nm, 3.5), ["hood_s"], nm=nm, fwhm=3.5, instrument="SVC")
     found = hp.validate(paints, [asd, svc], {"hood": ["hood_0", "hood_1", "hood_s"]})
     assert not found.passed
@@ -361,9 +362,8 @@ def test_instruments_are_compared_with_each_other() -> None:
 @pytest.mark.parametrize("error", [1.7, 1.0 / 1.7])
 def test_seventy_percent_too_high_never_passes(level: float, error: float) -> None:
     # Rationale: an RMSE of 0.02 passed a black that was 70 % too high
-    nm = np.arange(380.0, 1021.0)
-    paints, truth = library(np.full(NM.size, level * error)), field(np.full(nm.size, level))
-    found = hp.validate(paints, truth)
+    truth = field(np.full(FIELD_NM.size, level))
+    found = hp.validate(library(np.full(NM.size, level * error)), truth)
     assert not found.passed
     assert "FAIL" in found.table()
     # the right level passes, unless it is within the floor
@@ -376,7 +376,7 @@ def test_seventy_percent_too_high_never_passes(level: float, error: float) -> No
 @pytest.mark.parametrize("level", [0.02, 0.1, 0.8])
 def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
     # Expected: 0.005 + 5 %, just inside passes and just outside fails; other shares as they are said
-    truth = field(np.full(np.arange(380.0, 1021.0).size, level))
+    truth = field(np.full(FIELD_NM.size, level))
     for tolerance, limit in ((None, 0.005 + 0.05 * level), ({"relative": 0.1, "floor": 0.0}, 0.1 * level)):
         for share, passes in ((0.99, True), (1.01, False), (-0.99, True), (-1.01, False)):
             found = hp.validate(library(np.full(NM.size, level + share * limit)), truth, tolerance=tolerance)
@@ -399,12 +399,7 @@ def test_every_row_says_whether_it_passes() -> None:
 
 def test_a_panel_scales_what_is_relative() -> None:
     signatures, references = agreeing()
-    panel = xr.DataArray(
-        [0.9, 0.9],
-        {"wavelength": ("wavelength", [300.0, 2500.0], {"units": "nm"})},
-        "wavelength",
-        attrs={"units": "1"},
-    )
+    panel = panel_of(0.9)
     found = hp.validate(signatures, references, panel=panel)
     assert value_of(found, "scale") == pytest.approx(1 / 0.9, rel=1e-4)
     assert any("scaled by the panel" in note for note in found.notes[0])
@@ -426,12 +421,7 @@ def test_a_panel_scales_what_is_relative() -> None:
 
 def test_the_surface_of_a_panel_scales_by_the_sun() -> None:
     signatures, references = agreeing()
-    panel = xr.DataArray(
-        [0.98, 0.98],
-        {"wavelength": ("wavelength", [300.0, 2500.0], {"units": "nm"})},
-        "wavelength",
-        attrs={"units": "1"},
-    )
+    panel = panel_of(0.98)
     # summer and autumn at noon in Rochester: the sun at 21 and 54 degrees
     for day, zenith, factor in (("2021-07-01", 20.0, 1.057), ("2021-10-12", 50.9, 1.002)):
         placed = references.assign_coords(
@@ -493,6 +483,7 @@ def test_mirrored_sky_on_one_side_only_warns() -> None:
         ({"parts": {"x": (700.0, 400.0)}}, "type-wrong"),
         ({"references": []}, "empty-input"),
         ({"references": "svc/*.sig"}, "type-wrong"),
+        ({"references": field(smooth(INFRARED), nm=INFRARED)}, "range-disjoint"),
         ({"references": xr.Dataset({"radiance": ("x", [1.0])})}, "variable-missing"),
         ({"signatures": xr.Dataset()}, "'reflectance' is missing"),
         ({"signatures": 3}, "type-wrong"),
@@ -503,13 +494,6 @@ def test_wrong_calls(change: dict[str, Any], told: str) -> None:
     call = {"signatures": signatures, "references": references, **change}
     expect_errors(
         (SchemaError, told, lambda: hp.validate(call.pop("signatures"), call.pop("references"), **call))
-    )
-
-
-def test_no_band_in_common() -> None:
-    nm = np.arange(1100.0, 1300.0)
-    expect_errors(
-        (SchemaError, "range-disjoint", lambda: hp.validate(agreeing()[0], field(smooth(nm), nm=nm)))
     )
 
 
@@ -557,13 +541,10 @@ def test_units_error_of_signatures() -> None:
 
 # --- Which readings belong together: of one name, one folder and one instrument ---
 
-FIELD_NM = np.arange(380.0, 1021.0)
-LEVEL = seen(FIELD_NM, 3.0)
-
 
 def red() -> xr.Dataset:
     # Return a library of one paint, red
-    return library(seen(NM, 6.0), ("red",))
+    return library(PAINT, ("red",))
 
 
 def write_sig(path: Path, level: float, head: str = "") -> None:
@@ -574,10 +555,12 @@ def write_sig(path: Path, level: float, head: str = "") -> None:
     path.write_text(f"/*** Spectra Vista SIG Data ***/\n{head}units= Radiance, Radiance\ndata= \n{rows}")
 
 
-def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
+def test_one_name_in_two_folders_or_datasets_is_no_repeat() -> None:
     two = field([LEVEL + 0.2, LEVEL - 0.2], ["site1/red.sig", "site2/red.sig"])
+    datasets = [field(LEVEL + 0.2, ["red"]), field(LEVEL - 0.2, ["red"])]
     expect_refusals(
-        (SchemaError, "reference-ambiguous", "site1/red", "site2/red", lambda: hp.validate(red(), two))
+        (SchemaError, "reference-ambiguous", "site1/red", "site2/red", lambda: hp.validate(red(), two)),
+        (SchemaError, "reference-ambiguous", "dataset 2", lambda: hp.validate(red(), datasets)),
     )
     assert hp.validate(red(), two, {"red": "site1/red"}).statistics["reference"].values.tolist() == [
         "site1/red.sig"
@@ -587,27 +570,16 @@ def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
     assert any("show one paint" in note for note in both.notes[0])
 
 
-def test_a_short_name_of_two_datasets_is_refused() -> None:
-    one, other = field(LEVEL + 0.2, ["red"]), field(LEVEL - 0.2, ["red"])
-    expect_refusals(
-        (SchemaError, "reference-ambiguous", "dataset 2", lambda: hp.validate(red(), [one, other]))
-    )
-
-
-def test_full_names_go_before_short_ones() -> None:
+def test_full_names_go_before_short_ones_and_equal_ones_are_repeats() -> None:
     found = hp.validate(red(), field([LEVEL, LEVEL + 0.3], ["red", "other/red.sig"]))
     assert found.statistics["reference"].values.tolist() == ["red"]
     assert found.unpaired_references == ("other/red.sig (ASD)",)
-    # each instrument for itself
-    assert hp.validate(
-        red(), [field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")]
-    ).statistics["reference"].values.tolist() == ["red", "svc/red.sig"]
-
-
-def test_readings_of_one_folder_are_repeats() -> None:
-    assert hp.validate(red(), field([LEVEL, LEVEL], ["red", "red"])).statistics[
-        "reference"
-    ].values.tolist() == ["red, red"]
+    # each instrument for itself, and readings of one folder are repeats
+    for references, names in (
+        ([field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")], ["red", "svc/red.sig"]),
+        (field([LEVEL, LEVEL], ["red", "red"]), ["red, red"]),
+    ):
+        assert hp.validate(red(), references).statistics["reference"].values.tolist() == names
 
 
 def test_files_of_open_svc(tmp_path: Path) -> None:
@@ -688,8 +660,6 @@ def test_a_relative_reference_without_its_panel_is_told() -> None:
 
 
 # --- What the uncertainties of a comparison are made of, and what is said where some are not known ---
-
-PAINT = seen(NM, 6.0)
 
 
 def readings(count: int, **spreads: float) -> hp.validation.Validation:
