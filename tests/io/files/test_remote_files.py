@@ -130,8 +130,9 @@ def test_every_reader_takes_a_url(scheme: str, flight: Path, local: Path, reques
         for name, read in readers.items():
             xr.testing.assert_equal(read(f"{folder}/{name}").load(), read(str(home / name)).load())
         assert hp.read_regions(f"{folder}/regions.geojson") == hp.read_regions(home / "regions.geojson")
-        assert_same_stores(local, hp.process(f"{folder}/collect.toml", f"{url}/lot.zarr"))
-        assert hp.verify(f"{url}/lot.zarr").ok
+        if scheme == "s3":  # the test of a whole collect does this in memory
+            assert_same_stores(local, hp.process(f"{folder}/collect.toml", f"{url}/lot.zarr"))
+            assert hp.verify(f"{url}/lot.zarr").ok
 
 
 def test_damaged_files_are_refused_as_on_a_disk(day: str, flight: Path, tmp_path: Path) -> None:
