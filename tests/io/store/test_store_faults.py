@@ -258,24 +258,24 @@ def small(value: int = 1) -> xr.Dataset:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def staged(tmp_path: Path) -> Path:
     to_store(small(), tmp_path / "lot.zarr", "flightlines/raw_0")
     return tmp_path / "lot.zarr"
 
 
-def unmarked(path: Path) -> Path:
-    folder = path.parent / f".partial-{path.name}"
+def unmarked(staged: Path) -> Path:
+    folder = staged.parent / f".partial-{staged.name}"
     folder.mkdir(exist_ok=True)
     return folder
 
 
-def partial(path: Path) -> Path:
-    (unmarked(path) / "hyperpaint").write_bytes(writer.MARK_TEXT)
-    return unmarked(path)
+def partial(staged: Path) -> Path:
+    (unmarked(staged) / "hyperpaint").write_bytes(writer.MARK_TEXT)
+    return unmarked(staged)
 
 
-def write(path: Path, value: int = 2, group: str = "other", **options: Any) -> None:
-    to_store(small(value), path, group, **options)
+def write(staged: Path, value: int = 2, group: str = "other", **options: Any) -> None:
+    to_store(small(value), staged, group, **options)
 
 
 # --- the folder --------------------------------------------------------------------------------------------
@@ -291,53 +291,53 @@ def write(path: Path, value: int = 2, group: str = "other", **options: Any) -> N
         f"build-..%2Fescaped-x-{'0' * 12}",
     ],
 )
-def test_names_that_lead_out_are_refused(name: str, path: Path) -> None:
-    hostile = partial(path) / name
+def test_names_that_lead_out_are_refused(name: str, staged: Path) -> None:
+    hostile = partial(staged) / name
     hostile.mkdir()
     (hostile / "zarr.json").write_text("{}")
-    expect_error(StoreError, "staging-foreign", lambda: write(path))
-    assert sorted(os.listdir(path.parent)) == [".partial-lot.zarr", "lot.zarr"]
+    expect_error(StoreError, "staging-foreign", lambda: write(staged))
+    assert sorted(os.listdir(staged.parent)) == [".partial-lot.zarr", "lot.zarr"]
     assert hostile.is_dir()
 
 
 @pytest.mark.parametrize("name", ["replaced-g", "build-other-x-y", "discarded-1", "notes"])
-def test_links_in_the_folder_are_refused(name: str, path: Path, tmp_path: Path) -> None:
+def test_links_in_the_folder_are_refused(name: str, staged: Path, tmp_path: Path) -> None:
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious/keep").touch()
-    (partial(path) / name).symlink_to(tmp_path / "precious")
-    expect_error(StoreError, "link-refused", lambda: write(path))
+    (partial(staged) / name).symlink_to(tmp_path / "precious")
+    expect_error(StoreError, "link-refused", lambda: write(staged))
     assert os.listdir(tmp_path / "precious") == ["keep"]
 
 
-def test_a_link_for_the_folder_is_refused(path: Path, tmp_path: Path) -> None:
+def test_a_link_for_the_folder_is_refused(staged: Path, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere/build-x-1").mkdir()
     (tmp_path / ".partial-lot.zarr").symlink_to(tmp_path / "elsewhere")
-    expect_error(StoreError, "link-refused", lambda: write(path))
+    expect_error(StoreError, "link-refused", lambda: write(staged))
     assert os.listdir(tmp_path / "elsewhere") == ["build-x-1"]
 
 
-def test_an_old_group_is_not_put_back_through_a_link(path: Path, tmp_path: Path) -> None:
+def test_an_old_group_is_not_put_back_through_a_link(staged: Path, tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
-    (path / "more").symlink_to(tmp_path / "outside")
-    (partial(path) / "replaced-more%2Fraw_0").mkdir()
-    with pytest.raises(StoreError, match="link-refused"), staging(path):
+    (staged / "more").symlink_to(tmp_path / "outside")
+    (partial(staged) / "replaced-more%2Fraw_0").mkdir()
+    with pytest.raises(StoreError, match="link-refused"), staging(staged):
         pass
     assert os.listdir(tmp_path / "outside") == []
 
 
-def test_an_old_group_is_put_back_though_its_parent_is_gone(path: Path) -> None:
-    os.rename(path / "flightlines/raw_0", partial(path) / "replaced-flightlines%2Fraw_0")
-    (path / "flightlines/zarr.json").unlink()
-    (path / "flightlines").rmdir()
-    with staging(path):
+def test_an_old_group_is_put_back_though_its_parent_is_gone(staged: Path) -> None:
+    os.rename(staged / "flightlines/raw_0", partial(staged) / "replaced-flightlines%2Fraw_0")
+    (staged / "flightlines/zarr.json").unlink()
+    (staged / "flightlines").rmdir()
+    with staging(staged):
         pass
-    assert open_store(path, "flightlines/raw_0")["a"][0] == 1
-    write(path)
-    assert verify(path).ok
+    assert open_store(staged, "flightlines/raw_0")["a"][0] == 1
+    write(staged)
+    assert verify(staged).ok
 
 
-def test_what_is_half_removed_does_not_come_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_half_removed_does_not_come_back(staged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     remove = shutil.rmtree
 
     def die(folder: Any, *args: Any, **options: Any) -> None:
@@ -348,34 +348,34 @@ def test_what_is_half_removed_does_not_come_back(path: Path, monkeypatch: pytest
     monkeypatch.setattr(writer, "exchange", lambda *_: False)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "rmtree", die)
-        expect_error(KeyboardInterrupt, None, lambda: write(path, 2, "flightlines/raw_0", overwrite=True))
-    assert not list(partial(path).glob("replaced-*"))
-    assert open_store(path, "flightlines/raw_0")["a"][0] == 2
+        expect_error(KeyboardInterrupt, None, lambda: write(staged, 2, "flightlines/raw_0", overwrite=True))
+    assert not list(partial(staged).glob("replaced-*"))
+    assert open_store(staged, "flightlines/raw_0")["a"][0] == 2
 
 
 # --- half-written files ------------------------------------------------------------------------------------
 
 
-def test_only_our_half_written_files_are_removed(path: Path, tmp_path: Path) -> None:
+def test_only_our_half_written_files_are_removed(staged: Path, tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.mkdir()
     ours = [
-        path / ".zarr.json.4711",
-        path / "flightlines/.zarr.json.12",
-        path / f"flightlines/zarr.{'0f' * 16}.partial",
+        staged / ".zarr.json.4711",
+        staged / "flightlines/.zarr.json.12",
+        staged / f"flightlines/zarr.{'0f' * 16}.partial",
     ]
     foreign = [
-        path / "thesis.partial",
-        path / "flightlines/raw_0/notes.partial",
-        path / ".zarr.json.backup",
-        path / "flightlines/photos/.zarr.json.1",
+        staged / "thesis.partial",
+        staged / "flightlines/raw_0/notes.partial",
+        staged / ".zarr.json.backup",
+        staged / "flightlines/photos/.zarr.json.1",
         outside / ".zarr.json.1",
     ]
-    (path / "flightlines/photos").mkdir()
-    (path / "linked").symlink_to(outside)
+    (staged / "flightlines/photos").mkdir()
+    (staged / "linked").symlink_to(outside)
     for file in (*ours, *foreign):
         file.write_text("x")
-    with staging(path, ["flightlines/raw_1"]):
+    with staging(staged, ["flightlines/raw_1"]):
         pass
     assert not any(file.exists() for file in ours)
     assert all(file.exists() for file in foreign)
@@ -400,8 +400,8 @@ def test_two_folders_change_places(tmp_path: Path) -> None:
 def test_the_old_group_stands_where_publishing_fails(
     group: str, failing: int, exchanging: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "lot.zarr"
-    to_store(small(), path, group)
+    staged = tmp_path / "lot.zarr"
+    to_store(small(), staged, group)
     if not exchanging:
         monkeypatch.setattr(writer, "exchange", lambda *_: False)
     rename, calls = os.rename, iter(range(1, 100))
@@ -411,16 +411,16 @@ def test_the_old_group_stands_where_publishing_fails(
             raise PermissionError(13, "Permission denied", os.fspath(source))
         rename(source, target)
 
-    made = Staging(path)
+    made = Staging(staged)
     build = made.build(group, "content")
     build.mkdir(parents=True)
     monkeypatch.setattr(os, "rename", fail)
     with contextlib.suppress(PermissionError):
         made.publish(build, group)
     monkeypatch.undo()
-    there = path / group
+    there = staged / group
     assert there.is_dir()
-    assert is_complete(path, group) or not os.listdir(there)
+    assert is_complete(staged, group) or not os.listdir(there)
 
 
 # --- the lock ----------------------------------------------------------------------------------------------
@@ -519,16 +519,16 @@ def test_another_writers_lock_is_left_alone(lock: Path) -> None:
     ["thesis.txt", "build-mine", "build-house-plan", "discarded-photos", "notes/a", "hyperpaint"],
 )
 def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
-    theirs = unmarked(path) / name
+    staged = tmp_path / "lot.zarr"
+    theirs = unmarked(staged) / name
     theirs.parent.mkdir(parents=True, exist_ok=True)
     theirs.write_text("precious")
     for overwrite in (False, True):
         expect_error(
-            StoreError, "staging-foreign", functools.partial(to_store, small(), path, overwrite=overwrite)
+            StoreError, "staging-foreign", functools.partial(to_store, small(), staged, overwrite=overwrite)
         )
     assert theirs.read_text() == "precious"
-    assert [each.name for each in unmarked(path).iterdir()] == [name.partition("/")[0]]
+    assert [each.name for each in unmarked(staged).iterdir()] == [name.partition("/")[0]]
 
 
 def test_what_a_power_failure_leaves_empty_is_ours(tmp_path: Path) -> None:
@@ -544,20 +544,20 @@ def test_lock_and_mark_are_on_the_disk_before_anything_is_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[str] = []
-    monkeypatch.setattr(writer, "sync", lambda path: synced.append(Path(path).name))
+    monkeypatch.setattr(writer, "sync", lambda staged: synced.append(Path(staged).name))
     with staging(tmp_path / "lot.zarr"):
         assert synced == ["lock", "hyperpaint", ".partial-lot.zarr"]
 
 
 def test_what_lies_in_our_folder_and_is_not_ours_stays(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
-    with staging(path):
-        (unmarked(path) / "build-house-plan").write_text("precious")
-        (unmarked(path) / f"build-old-{'0' * 32}-{'0' * 12}").mkdir()
-    to_store(small(), path)
-    assert sorted(os.listdir(unmarked(path))) == ["build-house-plan", "hyperpaint"]
-    (unmarked(path) / "build-house-plan").unlink()
-    with staging(path):
+    staged = tmp_path / "lot.zarr"
+    with staging(staged):
+        (unmarked(staged) / "build-house-plan").write_text("precious")
+        (unmarked(staged) / f"build-old-{'0' * 32}-{'0' * 12}").mkdir()
+    to_store(small(), staged)
+    assert sorted(os.listdir(unmarked(staged))) == ["build-house-plan", "hyperpaint"]
+    (unmarked(staged) / "build-house-plan").unlink()
+    with staging(staged):
         pass
     assert os.listdir(tmp_path) == ["lot.zarr"]
 
