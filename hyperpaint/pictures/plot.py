@@ -1470,6 +1470,7 @@ def _draw_bands(
 
 
 MAX_REGION_PIXELS = 4096  # pixels drawn in a triptych; larger regions are subsampled
+_LEAST_TERM = 0.002  # Minimum part of the uncertainty of a level that a card lists, relative.
 _BLUE = "#3399DD"  # visible on light and dark backgrounds
 _AXES_INCH = (4.3, 4.4)
 
@@ -2149,8 +2150,9 @@ def paint_card(
     r"""Draw one paint of a library on the flight line it was measured on.
 
     The card shows the surroundings in true colour with the region; flags of the surroundings, and the pixels
-    used for the signature; the signature with the middle half of its pixels and its 95 % interval; and the
-    reasons stored with the region. Eager: only the lines around the region are read.
+    used for the signature; the signature with the middle half of its pixels and its 95 % interval; its
+    quantity, what makes its level uncertain, and the reasons stored with the region. Eager: only the lines
+    around the region are read.
 
     Parameters
     ----------
@@ -2249,7 +2251,8 @@ def paint_card(
     reasons, chars = properties.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
     reasons = reasons if isinstance(reasons, list | tuple) else ()
     text = label_for("; ".join(map(str, reasons)), longest=6 * chars)
-    lines_of_text = ["  |  ".join(head), *textwrap.wrap(text, chars)]
+    lines_of_text = ["  |  ".join(head), *textwrap.wrap(_level_text(signature), chars)]
+    lines_of_text += textwrap.wrap(text, chars)
     text_height, body = 0.2 * len(lines_of_text) + 0.1, 4.4 if is_wide else 11.0
     figure = new_figure("the card of a paint", figsize=(width, text_height + body), layout="constrained")
     if is_wide:
@@ -2276,8 +2279,27 @@ def paint_card(
         region,
         excluded_of(region, excluded if names else int(EXCLUDED)),
     )
+    # the label of both pictures is wider than one, and a legend stands below the second
+    label = plots["place"].get_xlabel()
+    plots["place"].set_xlabel(label.replace(", ", ",\n"))
+    plots["used"].set_xlabel(label.split(",")[0])
     _draw_signature(plots["signature"], signature)
     return save_figure(figure, path)
+
+
+def _level_text(signature: xr.Dataset) -> str:
+    # Quantity of a signature, and the parts of the uncertainty of its level, the largest first
+    terms = json.loads(str(signature["level_terms"].item()) or "{}") if "level_terms" in signature else {}
+    if "reflectance_u_coat" in signature:
+        coat_u, mean = (float(signature[name].mean()) for name in ("reflectance_u_coat", "reflectance"))
+        terms["the coat and the sky that it mirrors"] = coat_u / mean
+    causes = [
+        f"{cause} {share:.1%}"
+        for cause, share in sorted(terms.items(), key=lambda term: -term[1])
+        if share >= _LEAST_TERM
+    ]
+    words = [str(signature["quantity"].item())] if "quantity" in signature else []
+    return "; ".join(words + (["standard uncertainty of its level: " + ", ".join(causes)] if causes else []))
 
 
 def _draw_exclusions(

@@ -62,8 +62,12 @@ def test_the_interval_holds_the_uncertainty_of_the_level(measured: tuple[xr.Data
         reflectance_u_random=(("signature", "band"), np.full(shape, 0.003, np.float32), {"units": "1"}),
         reflectance_u_systematic=(("signature", "band"), np.full(shape, 0.004, np.float32), {"units": "1"}),
         level_uncertainty=("signature", np.float32([0.1]), {"units": "1"}),
+        reflectance_u_coat=0.05 * library.reflectance,
+        level_terms=("signature", ['{"noise and dust": 0.008, "an unknown lean": 0.0997, "haze": 0.001}']),
     )
-    axes = hp.pictures.paint_card(line, stated, "red $roof", width=5.0).axes[-1]
+    text, *_, axes = hp.pictures.paint_card(line, stated, "red $roof", width=5.0).axes
+    causes = "an unknown lean 10.0%, the coat and the sky that it mirrors 5.0%, noise and dust 0.8%"
+    assert causes in " ".join(text.texts[0].get_text().split("\n"))
     below, above, centre = (curve.get_ydata() for curve in axes.lines[:3])
     level = library.reflectance.values[0].astype(np.float64)
     np.testing.assert_allclose(centre, level)
