@@ -41,6 +41,7 @@ from hyperpaint.base import (
     Array,
     Bools,
     Floats,
+    Floats32,
     PaintError,
     Problems,
     Progress,
@@ -801,7 +802,7 @@ class Footprint(NamedTuple):
     origin: tuple[int, int]  #: Line and column of the first pixel of the masks.
     paint: Bools  #: (line, column): Pixels with the colour of its paint, also beside the car.
     area: Bools  #: (line, column): The car: its thick parts with this colour, and the area they enclose.
-    brightness: Floats  #: (line, column): Brightness relative to the piece that the footprint began with.
+    brightness: Floats32  #: (line, column): Brightness relative to the piece that the footprint began with.
     axis: Floats  #: (2,): Unit vector (line, column) along its longer side.
     centre: Floats  #: (2,): Line and column of its centre in the masks.
     length: float  #: [pixel]
@@ -825,7 +826,9 @@ class Footprint(NamedTuple):
         area = self.area[lines, columns].copy()
         origin = self.origin[0] + lines.start, self.origin[1] + columns.start
         centre = self.centre - [lines.start, columns.start]
-        return self._replace(origin=origin, paint=area, area=area, brightness=np.empty(0), centre=centre)
+        return self._replace(
+            origin=origin, paint=area, area=area, brightness=np.empty(0, np.float32), centre=centre
+        )
 
 
 def footprints_of(
@@ -845,7 +848,7 @@ def footprints_of(
     # `JOININGS`.
     shape = np.array(picture.level.shape)
     longest = np.sqrt(max_size * FOOTPRINTS.slenderness[1])
-    matches: dict[tuple[int, bool], tuple[Bools, Bools, Bools, Floats]] = {}
+    matches: dict[tuple[int, bool], tuple[Bools, Bools, Bools, Floats32]] = {}
     for wide_brightness, over_windows, cut_bridges in joinings:
         pad = min(int(FOOTPRINTS.margin * max(inside.shape)), FOOTPRINTS.max_margin_px)
         for _ in range(FOOTPRINTS.rounds):
@@ -882,7 +885,7 @@ def footprints_of(
 
 def _matched_colour(
     colour: Floats, picture: Picture, window: tuple[slice, slice], wide_brightness: bool
-) -> tuple[Bools, Bools, Bools, Floats]:
+) -> tuple[Bools, Bools, Bools, Floats32]:
     # Pixels (line, column) of paint, of ground, and darker than paint; brightness relative to the paint
     spectra = picture.without_sky(window)
     length = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", spectra, spectra)), np.float32(1e-9))
@@ -901,7 +904,9 @@ def _matched_colour(
         model = picture.model
         paint &= ~np.append(model.state == SHADED, False)[model.segment[window]]
     ground = ~paint & is_ground_bright & (ground_cosine > FOOTPRINTS.min_cosine)
-    return paint, ground, ~paint & (length < low * colour_length), brightness
+    # brightness has the values of float32, and thousands of footprints keep it
+    darker = ~paint & (length < low * colour_length)
+    return paint, ground, darker, brightness.astype(np.float32)
 
 
 def _car_area(
@@ -1543,7 +1548,7 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     edges = []
     for sign in (-1.0, 1.0):
         positions = _to_picture(roof.centre, roof.axis, tracks[:, None], sign * aside)
-        samples = map_coordinates(footprint.brightness, positions, order=1, mode="nearest")
+        samples = map_coordinates(footprint.brightness, positions, np.float64, order=1, mode="nearest")
         edges.append(sign * _edge(aside, np.nanmedian(samples, axis=0), half_width))
     shift = 0.5 * (edges[0] + edges[1])
     # standard deviation of a uniform distribution over the possible range
@@ -1942,7 +1947,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     if piece is None:
         return None
     y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
-    brightness = footprint.brightness[window_of((y, x), piece.inside)]
+    brightness = footprint.brightness[window_of((y, x), piece.inside)].astype(np.float64)
     prior = lean_to_sun(roof.axis, picture.shadow_side)
     if not roof.is_whole:
         prior = float(np.hypot(prior, JUDGING.part_deg))
