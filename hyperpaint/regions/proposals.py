@@ -76,7 +76,7 @@ from hyperpaint.surroundings.corrections import (
 from hyperpaint.surroundings.model import SHADED
 from hyperpaint.surroundings.scratch import compute_into, line_blocks, release, scratch_array, trim_memory
 from hyperpaint.surroundings.segments import padded
-from hyperpaint.surroundings.surveying import FLAG_LIMITS, flag_channels, is_vegetation, to_channels
+from hyperpaint.surroundings.surveying import FLAG_LIMITS, flag_channels, is_vegetation, model_of, to_channels
 
 from .polygons import (
     GEOGRAPHIC_CRS,
@@ -2339,7 +2339,7 @@ def propose_regions(
         raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
     if model is None:
         model = survey(line, progress=progress, **options)
-    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    scene = model_of(line, model)
     if not scene.segments:
         return Proposals(())
     zenith = options.get("sun_zenith", scene.attrs.get("sun_zenith"))

@@ -1273,25 +1273,7 @@ def flag(
             mend="pass only one of them",
             code="option-conflict",
         )
-    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
-    problems = Problems("the scene model belongs to another line", SchemaError)
-    lines, bands, columns = cube.shape
-    problems.add_if(
-        scene.segment.shape != (lines, columns),
-        f"the model has {scene.segment.shape} pixels",
-        expected=f"({lines}, {columns}) as the line",
-        code="grid-mismatch",
-    )
-    # a lazy coordinate is not computed: only its size is compared
-    wavelength = scene.wavelength if line["wavelength"].chunks is not None else line["wavelength"].values
-    is_same_axis = np.array_equal(scene.wavelength, wavelength, equal_nan=True)
-    problems.add_if(
-        scene.wavelength.shape != (bands,) or not is_same_axis,
-        f"the bands of the model differ from the {bands} bands of the line",
-        mend="survey the line that is flagged",
-        code="bands-differ",
-    )
-    problems.raise_if_any()
+    scene = model_of(line, model)
     # Flags, computed by blocks of lines when asked for
     data = line_chunked(cube).data
     blocks = da.map_blocks(
@@ -1320,6 +1302,30 @@ def flag(
     origin = f"diffuse fraction: {scene.attrs.get('diffuse_fraction_from', 'unknown')}"
     layers["quality"] = schema.label(bits, "quality", flags_from=origin)
     return line.assign(layers)
+
+
+def model_of(line: xr.Dataset, model: SceneModel | xr.Dataset) -> SceneModel:
+    # Return the scene model of a line; raise for that of a line with other pixels or bands.
+    cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
+    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    with Problems("the scene model belongs to another line", SchemaError) as problems:
+        lines, bands, columns = cube.shape
+        problems.add_if(
+            scene.segment.shape != (lines, columns),
+            f"the model has {scene.segment.shape} pixels",
+            expected=f"({lines}, {columns}) as the line",
+            code="grid-mismatch",
+        )
+        # a lazy coordinate is not computed: only its size is compared
+        wavelength = scene.wavelength if line["wavelength"].chunks is not None else line["wavelength"].values
+        is_same_axis = np.array_equal(scene.wavelength, wavelength, equal_nan=True)
+        problems.add_if(
+            scene.wavelength.shape != (bands,) or not is_same_axis,
+            f"the bands of the model differ from the {bands} bands of the line",
+            mend="survey the line that is flagged",
+            code="bands-differ",
+        )
+    return scene
 
 
 def _flag_block(

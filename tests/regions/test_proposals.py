@@ -401,6 +401,17 @@ def test_proposals__do_not_depend_on_chunks(car: tuple[xr.Dataset, Any]) -> None
     assert lazy.paint.propose_regions(sun_zenith=ZENITH, flightline="raw_0").digest == whole.digest
 
 
+def test_model_of_another_line__is_refused(car: tuple[xr.Dataset, Any]) -> None:
+    # Expected: other pixels and other bands are told together, for lines with flags and without
+    line, _ = car
+    other = drawn().isel(along_track=slice(60), band=slice(40))
+    model = hp.surroundings.survey(other, sun_zenith=ZENITH)
+    flagged = hp.surroundings.flag(line, hp.surroundings.survey(line, sun_zenith=ZENITH))
+    for wrong in (line, flagged):
+        with pytest.raises(SchemaError, match=r"(?s)grid-mismatch.*bands-differ"):
+            propose(wrong, model=model)
+
+
 def test_flagged_lines__are_not_flagged_again(
     car: tuple[xr.Dataset, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
