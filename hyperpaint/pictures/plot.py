@@ -2251,8 +2251,8 @@ def paint_card(
     reasons, chars = properties.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
     reasons = reasons if isinstance(reasons, list | tuple) else ()
     text = label_for("; ".join(map(str, reasons)), longest=6 * chars)
-    lines_of_text = ["  |  ".join(head), *textwrap.wrap(_level_text(signature), chars)]
-    lines_of_text += textwrap.wrap(text, chars)
+    level_text = label_for(_level_text(signature), longest=6 * chars)
+    lines_of_text = ["  |  ".join(head), *textwrap.wrap(level_text, chars), *textwrap.wrap(text, chars)]
     text_height, body = 0.2 * len(lines_of_text) + 0.1, 4.4 if is_wide else 11.0
     figure = new_figure("the card of a paint", figsize=(width, text_height + body), layout="constrained")
     if is_wide:
@@ -2292,7 +2292,7 @@ def _level_text(signature: xr.Dataset) -> str:
     terms = json.loads(str(signature["level_terms"].item()) or "{}") if "level_terms" in signature else {}
     if "reflectance_u_coat" in signature:
         coat_u, mean = (float(signature[name].mean()) for name in ("reflectance_u_coat", "reflectance"))
-        terms["the coat and the sky that it mirrors"] = coat_u / mean
+        terms["the coat and the sky that it mirrors"] = coat_u / max(abs(mean), 1e-6)
     causes = [
         f"{cause} {share:.1%}"
         for cause, share in sorted(terms.items(), key=lambda term: -term[1])
