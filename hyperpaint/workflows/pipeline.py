@@ -329,7 +329,8 @@ def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> 
     # of this process. Groups of one task cost the client least, where there are enough for all threads.
     if client is None:
         return 1, False
-    slabs = max([1, *(len(group.chunksizes.get(ALONG_TRACK, ())) for group in groups.values())])
+    arrays = [array for group in groups.values() for array in group.variables.values()]
+    slabs = max([1, *(len(array.chunksizes.get(ALONG_TRACK, ())) for array in arrays)])
     threads: int = sum(client.nthreads().values())
     as_one_task = slabs <= _SLABS_OF_A_TASK and len(groups) >= 2 * threads
     return max(1, min(len(groups), 2 * threads // (1 if as_one_task else slabs))), as_one_task

@@ -367,6 +367,15 @@ def test_a_short_line_is_one_task(client: Any, tmp_path: Path) -> None:
         xr.testing.assert_equal(hp.open_store(local, group).load(), hp.open_store(store, group).load())
 
 
+def test_a_line_of_several_slabs_is_several_tasks(client: Any, tmp_path: Path) -> None:
+    # its arrays have different blocks: cubes slabs, times the whole line
+    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=300, bands=12, columns=4)
+    store, group = hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0"
+    with dask.config.set(scheduler="threads"):
+        local = hp.process(collect, tmp_path / "local.zarr")
+    xr.testing.assert_equal(hp.open_store(local, group).load(), hp.open_store(store, group).load())
+
+
 def test_worker_that_does_not_see_the_folder(
     client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
