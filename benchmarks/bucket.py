@@ -182,7 +182,9 @@ def main() -> None:
                     client = process(there, store, running.scheduler_address)
                     while client.poll() is None and killed < number:
                         time.sleep(rng.uniform(2.0, 6.0) if kind == "worker" else rng.uniform(5.0, 40.0))
-                        # a nanny gives up a worker that dies while it starts
+                        # a nanny gives up a worker that dies while it starts, and the cluster one that is
+                        # not back in seconds: both are started again
+                        running.scale(2)
                         pids = [worker.pid for worker in running.scheduler.workers.values()]
                         pid = client.pid if kind == "client" else rng.choice(pids or [0])
                         if pid and client.poll() is None:

@@ -124,7 +124,12 @@ class Program(click.Group):
         # Run the command that the context names.
         with _short_warnings(), _stopped_by_signals():
             try:
-                return super().invoke(ctx)
+                if ctx.params["scheduler"] is None:
+                    return super().invoke(ctx)
+                from hyperpaint.io.store import errors_of_the_cluster
+
+                with errors_of_the_cluster("cannot compute on the cluster"):
+                    return super().invoke(ctx)
             except KeyboardInterrupt as stop:
                 number = next((value for value in stop.args if isinstance(value, int)), signal.SIGINT)
                 if is_watched():  # ends the progress bar

@@ -118,6 +118,7 @@ from hyperpaint.io.store import (
     summary_of,
     version_of_program,
     virtual_groups,
+    watched,
     whole_run,
     with_layout,
     write_icechunk,
@@ -379,6 +380,9 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
                     mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
                     code="worker-missing",
                 ) from error
+        if address is not None:
+            stack.enter_context(errors_of_the_cluster("cannot compute on the cluster"))
+            stack.enter_context(watched(client, is_own=True))
         yield client
 
 

@@ -33,6 +33,7 @@ from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.base.schema import CUBE
 from hyperpaint.io.store import computing, list_groups
 from hyperpaint.io.store.computing import is_mendable
+from hyperpaint.workflows.pipeline import computing_on
 
 distributed = pytest.importorskip("distributed")
 
@@ -410,6 +411,23 @@ def test_cluster_that_loses_all_workers(tmp_path: Path, monkeypatch: pytest.Monk
         timer.join()
     assert not path.exists()
     check_again(path)
+
+
+@pytest.mark.slow
+def test_computation_ends_when_the_cluster_loses_all_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    # surveys, checks and maps compute without a write, and would wait for ever
+    monkeypatch.setattr(computing, "LOST_WAIT", 0.5)
+    line = line_with(slow)
+    with cluster(1, processes=False) as client:
+        timer = threading.Timer(0.6, client.cluster.scale, (0,))
+
+        def compute() -> None:
+            with computing_on(client.scheduler.address):
+                timer.start()
+                line.compute()
+
+        expect_error(StoreError, r"cannot compute on the cluster: it was cancelled.*no worker", compute)
+        timer.join()
 
 
 def test_missing_file_of_a_group_written_by_one_worker(tmp_path: Path) -> None:

@@ -944,16 +944,22 @@ _running: contextvars.ContextVar[dict[int, dict[Key, Any]] | None] = contextvars
 LOST_WAIT = 300.0
 
 
-def _cancel_all(reason: str) -> None:
-    for futures_by_key in list((_running.get() or {}).values()):
+def _cancel_all(reason: str, own: Client | None = None) -> None:
+    # Cancel the writes that run, and all that a client of our own waits for
+    running = [list(futures_by_key.values()) for futures_by_key in list((_running.get() or {}).values())]
+    if own is not None:
+        from distributed import Future
+
+        running.append([Future(key, own) for key in list(own.futures)])
+    for futures in filter(None, running):
         with contextlib.suppress(Exception):  # the scheduler may be lost
-            futures = list(futures_by_key.values())
             futures[0].client.cancel(futures, force=True, reason=reason)
 
 
 @contextlib.contextmanager
-def watched(client: Client | None) -> Iterator[None]:
+def watched(client: Client | None, *, is_own: bool = False) -> Iterator[None]:
     # Cancel the writes inside once a cluster has had no worker for `LOST_WAIT`: they would never end.
+    # Of a client of our own everything is cancelled, also what only reads or computes.
     if client is None:
         yield
         return
@@ -966,7 +972,9 @@ def watched(client: Client | None) -> Iterator[None]:
                 if client.nthreads():
                     last_seen = time.monotonic()
             if time.monotonic() - last_seen > LOST_WAIT:
-                _cancel_all(f"the cluster has had no worker for {LOST_WAIT:.0f} s")
+                _cancel_all(
+                    f"the cluster has had no worker for {LOST_WAIT:.0f} s", client if is_own else None
+                )
 
     watcher = threading.Thread(target=contextvars.copy_context().run, args=(watch,), daemon=True)
     watcher.start()
