@@ -255,7 +255,7 @@ def test_seeds__are_apart_and_scenes_follow_from_them() -> None:
     assert foreign_cars.conditions_of(750) == foreign_cars.conditions_of(750)
     judging = (*fleet.SEEDS["judged"]["hyperpaint"], *fleet.SEEDS["judge"]["hyperpaint"])
     conditions = [rendered_cars.conditions_of(seed) for seed in judging]
-    assert sum(light.fleet == "black" for light in conditions) == 6
+    assert sum(light.fleet == "black" for light in conditions) == 7
     assert len({light.cloud_size for light in conditions if "broken" in light.skies}) > 1
     zeniths = [light.sun_zenith for light in conditions]
     assert min(zeniths) < 20.0
