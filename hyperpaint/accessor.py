@@ -5,8 +5,6 @@ docstring (``line.paint.reflectance?``). ``accessor.pyi`` declares the methods f
 ``python tests/support/accessor_stub.py`` writes it from the same functions.
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import inspect
@@ -86,7 +84,7 @@ class _Method:
         self._home = home
         self._accessor = accessor
 
-    def __get__(self, accessor: Any, owner: type[Any]) -> _Method:
+    def __get__(self, accessor: Any, owner: type[Any]) -> "_Method":
         return type(self)(self.__name__, self._home, accessor)
 
     @property
@@ -175,7 +173,7 @@ class PaintAccessor(_Accessor):
 
         return summary_html(self._dataset, _METHODS_BY_TASK)
 
-    def verify(self) -> StoreReport:
+    def verify(self) -> "StoreReport":
         """Read every chunk of the store that the dataset was opened from (eager); see `hyperpaint.verify`.
 
         Raises
@@ -204,7 +202,7 @@ class PaintAccessor(_Accessor):
         )
         return verify(source)
 
-    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
+    def quantify(self, registry: "pint.UnitRegistry[Any] | None" = None) -> xr.Dataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``).
 
         Coordinates stay plain, for selection. hyperpaint's functions accept such a view and return plain
@@ -260,7 +258,7 @@ class PaintArrayAccessor(_Accessor):
         # Return the array of a resulting Dataset; pass other results through.
         return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
 
-    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.DataArray:
+    def quantify(self, registry: "pint.UnitRegistry[Any] | None" = None) -> xr.DataArray:
         """Return a view for pint-xarray users, a Quantity; see `PaintAccessor.quantify`."""
         from .base.facts import quantify
 

@@ -12,8 +12,6 @@ wavelengths or widths differ from the declared ones. The check is relative to th
 reflectance is.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import warnings
@@ -279,7 +277,7 @@ class Declared:
     light: Light  # The irradiance record
 
     @classmethod
-    def by(cls, dataset: xr.Dataset) -> Declared:
+    def by(cls, dataset: xr.Dataset) -> "Declared":
         # Return the declarations of a dataset; SchemaError if any are missing.
         arrays = require(
             dataset, [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)], "the alignment"
@@ -1125,7 +1123,7 @@ class Comparison(NamedTuple):
     effect: Floats
     groups: int
     at_limit: bool
-    sun: RecordAgainstSun | None = None
+    sun: "RecordAgainstSun | None" = None
     declared_fwhm: tuple[float, float] = (np.nan, np.nan)
 
     @property

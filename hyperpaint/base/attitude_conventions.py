@@ -6,8 +6,6 @@ right wing down, pitch with the nose up, heading clockwise from true north [degr
 of the body in the order heading, pitch, roll; heights above the ellipsoid [m].
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
@@ -119,7 +117,7 @@ class Convention:
         }
 
     @classmethod
-    def from_attrs(cls, attrs: Mapping[Any, Any]) -> Convention | None:
+    def from_attrs(cls, attrs: Mapping[Any, Any]) -> "Convention | None":
         """Return the convention that attributes declare; None where they declare nothing.
 
         Raises
@@ -135,7 +133,7 @@ class Convention:
         return cls(**values) if values else None
 
     @property
-    def of_canonical(self) -> Convention:
+    def of_canonical(self) -> "Convention":
         """The canonical form, with the same ``stamp_reference`` and ``column_order``."""
         return Convention(stamp_reference=self.stamp_reference, column_order=self.column_order)
 
@@ -221,7 +219,7 @@ class Convention:
             )
         return heights + self.geoid_undulation
 
-    def replace(self, **changes: Any) -> Convention:
+    def replace(self, **changes: Any) -> "Convention":
         """Return the convention with other choices."""
         return replace(self, **changes)
 

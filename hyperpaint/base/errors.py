@@ -1,7 +1,5 @@
 """Errors with the observed value, the accepted values, a remedy and a stable code; all problems at once."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import re
@@ -66,7 +64,7 @@ class Problem:
     mend: str = ""
     option: str = ""
     code: str = ""
-    inner: tuple[Problem, ...] = ()
+    inner: "tuple[Problem, ...]" = ()
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -319,7 +317,7 @@ class MissingExtraError(PaintError, ImportError):
     """
 
     @classmethod
-    def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
+    def of(cls, package: str, extra: str, purpose: str) -> "MissingExtraError":
         """Return the error for ``package``, which ``pip install 'hyperpaint[extra]'`` brings."""
         return cls(
             f"{purpose} needs {package}",

@@ -9,8 +9,6 @@ own registry, like UDUNITS, lets it pass. No Quantity ever enters an array, a gr
 `takes_quantities` and `plain` turn those of any registry into numbers with text beside them as they come in.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import datetime
@@ -121,7 +119,7 @@ def _spell_for_pint(text: str) -> str:
 
 
 @functools.cache
-def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
+def registry(force_ndarray_like: bool = False) -> "pint.UnitRegistry[Any]":
     # Return hyperpaint's private unit registry.
     #
     # It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
@@ -505,7 +503,7 @@ def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
 # --- a view in Quantities ----------------------------------------------------------------------------------
 
 
-def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
+def quantify(dataset: xr.Dataset, units: "pint.UnitRegistry[Any] | None" = None) -> xr.Dataset:
     # Return ``dataset`` with its data variables as pint Quantities of a registry, hyperpaint's by default.
     #
     # Raises `MissingExtraError`: pint-xarray is not installed. Raises `UnitsError`: Units cannot be read,
@@ -792,7 +790,7 @@ class Fact:
             problems.add(found, expected=self.expected, mend=mend, code=code)
         return code is None
 
-    def in_file(self) -> Fact:
+    def in_file(self) -> "Fact":
         # Return the declaration of the key: range and default in the unit of the file.
         if self.scale is None or self.scale == 1.0:
             return self

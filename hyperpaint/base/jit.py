@@ -1,7 +1,5 @@
 """Compilation of kernels: the options of numba and the cache on disk."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib
@@ -126,7 +124,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             return entry_point
 
     @functools.cached_property
-    def _inner(self) -> _InnerKernel:
+    def _inner(self) -> "_InnerKernel":
         return _InnerKernel(
             self.py_func,
             targetoptions={**self.targetoptions, "no_cpython_wrapper": True},

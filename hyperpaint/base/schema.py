@@ -5,8 +5,6 @@ and label their outputs through `label`, which *replaces* attributes, since xarr
 arithmetic.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -472,7 +470,7 @@ class Quality(IntFlag):
         colour: str = "",
         condition: str = "",
         samples: str = "kept",
-    ) -> Quality:
+    ) -> "Quality":
         flag = int.__new__(cls, bit)
         flag._value_ = bit
         flag.source, flag.colour, flag.condition, flag.samples = source, colour, condition, samples

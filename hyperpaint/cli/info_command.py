@@ -1,7 +1,5 @@
 """The command ``hyperpaint info``: a short description of a file or a store."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -496,7 +494,7 @@ def _facts_text(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
 
 
-def facts_of_field_folder(field: FieldFolder) -> Facts:
+def facts_of_field_folder(field: "FieldFolder") -> Facts:
     # Yield the facts about the folder of a field day.
     def relative(path: Path | None) -> str:
         is_inside = path is not None and path.is_relative_to(field.folder)

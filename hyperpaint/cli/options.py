@@ -6,8 +6,6 @@ option. Defaults are those of the signature; the help is the first sentence of t
 section, or in `hyperpaint.base.facts.PARAMETERS`. A command overrides them by keywords of `takes`.
 """
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import difflib
@@ -470,7 +468,7 @@ def end_with_problems(ctx: click.Context, problems: Iterable[str], text: str) ->
         ctx.exit(FAILED_CHECK)
 
 
-def say_outcome(outcome: Outcome) -> None:
+def say_outcome(outcome: "Outcome") -> None:
     # Print which groups of a store were written, and which were complete.
     written, unchanged = (
         ", ".join(f"/{group}" for group in groups) for groups in (outcome.written, outcome.unchanged)

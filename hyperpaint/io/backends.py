@@ -3,8 +3,6 @@
 xarray loads this module at any user's first `open_dataset`: it imports nothing but xarray.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable
@@ -56,7 +54,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         keep_whole_lines: bool = False,
         quantity: str | None = None,
-    ) -> xr.Dataset:
+    ) -> "xr.Dataset":
         # Open an ENVI cube lazily.
         #
         # ``filename_or_obj``: Path of the header or of the data file. ``drop_variables``: Names left out of
@@ -95,7 +93,7 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
         *,
         drop_variables: str | Iterable[str] | None = None,
         quantity: str | None = None,
-    ) -> xr.Dataset:
+    ) -> "xr.Dataset":
         module, name = self.opener
         open_file = getattr(import_module(module, __package__), name)
         return _without(open_file(filename_or_obj, quantity), drop_variables)
@@ -119,7 +117,7 @@ class SvcBackendEntrypoint(_SpectrometerEntrypoint):
     beginning = rb"(?i)(\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista"
 
 
-def _without(dataset: xr.Dataset, drop_variables: str | Iterable[str] | None) -> xr.Dataset:
+def _without(dataset: "xr.Dataset", drop_variables: str | Iterable[str] | None) -> "xr.Dataset":
     dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
     return dataset.drop_vars(dropped, errors="ignore")
 

@@ -6,8 +6,6 @@ imager's band response; for two Gaussians this equals the residual kernel ``sqrt
 it holds for any other pair of shapes too.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from dataclasses import dataclass, replace
@@ -114,7 +112,7 @@ class Responses:
     def __hash__(self) -> int:
         return hash(self._content())
 
-    def shifted(self, shift: float) -> Responses:
+    def shifted(self, shift: float) -> "Responses":
         # Return the same responses with every centre moved by ``shift`` [nm].
         return replace(self, wavelength=self.wavelength + shift)
 

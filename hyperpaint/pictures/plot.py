@@ -1,7 +1,5 @@
 """Pictures of a flight line: spectra with their spread, colours, flags, layers, calibration."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -2470,7 +2468,7 @@ _MIN_SPAN = 0.005  # half range of the axis of differences [1]
 
 @documented(path="picture")
 def validation_figure(
-    validation: Validation, path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
+    validation: "Validation", path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
 ) -> Any:
     """Draw every signature with its references and their spread, and the differences below.
 
@@ -2579,7 +2577,7 @@ def validation_figure(
     return save_figure(figure, path)
 
 
-def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
+def _draw_spectra(axes: Any, validation: "Validation", pairs: list[int]) -> None:
     signature = validation.spectra[pairs[0]]
     _draw_side(axes, signature, "signature", "signature", _BLUE, "-")
     for number, pair in enumerate(pairs):
@@ -2618,7 +2616,7 @@ def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: st
         axes.fill_between(nm, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
 
 
-def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
+def _largest_part(validation: "Validation", pair: int) -> xr.Dataset:
     statistics = validation.statistics.isel(pair=pair)
     return statistics.isel(part=int(statistics["bands"].values.argmax()))
 

@@ -4,8 +4,6 @@ Checks of its product: plain arrays of sampled lines come in, and reflectance, t
 range, is judged by level, colour and patterns of gain, smile and slit; a wrong scale of any input shows.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import warnings
@@ -844,7 +842,7 @@ def _roughness(spectrum: Floats, light: Floats) -> float:
     return 0.0 if is_flat else float(np.nanmedian(steps) / pair_step) ** 2
 
 
-def _agreements(curvature: Floats, wavelength: Floats, daylight: _Daylight) -> dict[str, float]:
+def _agreements(curvature: Floats, wavelength: Floats, daylight: "_Daylight") -> dict[str, float]:
     # Best correlation of a curvature with daylight over all shifts, by the wavelengths of each stretch
     agreements = {}
     mean_nm = float(wavelength.mean())

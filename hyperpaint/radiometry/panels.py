@@ -10,8 +10,6 @@ all bands, which adds the spectrum of the direct share to its factor. No labels 
 numbers out.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -14,8 +14,6 @@ in means over pixels. Systematic errors are shared by a flight, or by the lines 
 the mean dark and of a calibration: tables, small for any number of lines, name the samples that share each.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -1004,7 +1002,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     return result
 
 
-def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
+def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Floats]) -> "MeanErrors | None":
     # Return the errors of the mean by source; None where they cannot be separated.
     if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(CUBE):
         return None

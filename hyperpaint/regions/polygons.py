@@ -17,8 +17,6 @@ References
    Discrete Comput. Geom. 18, 305-363 (1997), section 4.1.
 """
 
-from __future__ import annotations
-
 import hashlib
 import html
 import importlib.util
@@ -261,8 +259,8 @@ class Regions(Sequence[Region]):
     @overload
     def __getitem__(self, index: int) -> Region: ...
     @overload
-    def __getitem__(self, index: slice) -> Regions: ...
-    def __getitem__(self, index: int | slice) -> Region | Regions:
+    def __getitem__(self, index: slice) -> "Regions": ...
+    def __getitem__(self, index: int | slice) -> "Region | Regions":
         return (
             Regions(self.regions[index], self.coordinates, self.crs)
             if isinstance(index, slice)

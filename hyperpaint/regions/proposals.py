@@ -6,8 +6,6 @@ then pieces (connected parts of one body, with their measures, light and lean), 
 their roofs, and the part that is proposed; `propose_regions` is last.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -820,7 +818,7 @@ class Footprint(NamedTuple):
         # Window of the masks in the picture.
         return window_of(self.origin, self.area)
 
-    def only_area(self) -> Footprint:
+    def only_area(self) -> "Footprint":
         # Return the footprint with the mask of its area alone, for thousands of pieces that are no cars.
         lines, columns = find_objects(self.area.view(np.int8))[0]
         area = self.area[lines, columns].copy()
@@ -1765,7 +1763,7 @@ class Car(NamedTuple):
             else (_CERTAIN - int(not (self.roof.complete or self.roof.sided)), self.size)
         )
 
-    def unless_larger(self, max_size: float) -> Car:
+    def unless_larger(self, max_size: float) -> "Car":
         # Return the car, without a roof where it has more pixels than cars have.
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
         return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))

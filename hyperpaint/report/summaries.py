@@ -3,8 +3,6 @@
 HTML comes from macros of ``page.html.j2``: jinja2 escapes every text. A page loads nothing from elsewhere.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -361,7 +359,7 @@ _LAYOUT = frozenset("\n\t")
 _BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
 
 
-def page_part(name: str, **content: object) -> Markup:
+def page_part(name: str, **content: object) -> "Markup":
     """Return a part of a page, made by a macro of ``page.html.j2`` from cleaned and escaped texts.
 
     Examples

@@ -48,8 +48,6 @@ DIRSIG5's FourCurveAtmosphere: sunlight and skylight at the ground, extinction a
 Their sources are the sky of the simulator, SPECTRL2, a spectrometer, or tables of MODTRAN or libRadtran.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Mapping
@@ -855,7 +853,7 @@ class Atmosphere:
         haze: Haze | None = HAZE,
         wavelength: ArrayLike | None = None,
         name: str = "clear",
-    ) -> Atmosphere:
+    ) -> "Atmosphere":
         # Return the clear sky of the simulator, which resolves the absorption lines of oxygen.
         #
         # ``sun_zenith``, ``sun_azimuth``, ``name``: See `Atmosphere`. ``aerosol``: Aerosol optical depth of
@@ -886,7 +884,7 @@ class Atmosphere:
         spread: Mapping[str, Any] | None = None,
         aerosol: float = 0.10,
         **options: Any,
-    ) -> Atmosphere:
+    ) -> "Atmosphere":
         # atmosphere whose extinction and path radiance are computed from haze, sun and sky, and shares of a
         # clear sky, unless passed, from the sun
         extinction = path = np.zeros_like(grid)
@@ -908,7 +906,7 @@ class Atmosphere:
         overcast_share: float = 0.0,
         haze: Haze | None = HAZE,
         name: str = "measured",
-    ) -> Atmosphere:
+    ) -> "Atmosphere":
         # Return the atmosphere of a measured irradiance series at one time.
         #
         # ``series``: Dataset with ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level
@@ -1006,7 +1004,7 @@ class Atmosphere:
         overcast_share: float = 0.0,
         haze: Haze | None = None,
         name: str | None = None,
-    ) -> Atmosphere:
+    ) -> "Atmosphere":
         # Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
         #
         # ``table``: From a reader of skies, such as `hyperpaint.io.read_sky_csv`; ``sky_radiance`` is fitted
@@ -1044,7 +1042,7 @@ class Atmosphere:
         )
         return replace(atmosphere, extinction=air[0], path_radiance=air[1]) if air else atmosphere
 
-    def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
+    def clouded(self, oktas: float, *, colour: float = 0.24) -> "Atmosphere":
         """Return this clear atmosphere under clouds; `hyperpaint.simulation.atmosphere` has the model.
 
         Parameters
@@ -1107,7 +1105,7 @@ class Atmosphere:
         return xr.Dataset(variables, coords, {"name": self.name, "haze": haze})
 
     @classmethod
-    def from_dataset(cls, dataset: xr.Dataset) -> Atmosphere:
+    def from_dataset(cls, dataset: xr.Dataset) -> "Atmosphere":
         # Return the atmosphere that `to_dataset` wrote.
         #
         # Raises `SchemaError`: Variables are missing, or their values cannot be used; all are listed. Raises

@@ -30,8 +30,6 @@ phi_k R_b of every band and point is computed once for a source, on a grid that 
 the integral of a path is then a short sum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -192,14 +190,14 @@ class BandSet:
         object.__setattr__(self, "wavelength_shift", shift)
 
     @classmethod
-    def nano_hyperspec(cls) -> BandSet:
+    def nano_hyperspec(cls) -> "BandSet":
         # Return the 272 bands of the simulator's Headwall Nano-Hyperspec, without smile.
         camera = SimulationSettings()
         wavelength = np.linspace(camera.first_wavelength, camera.last_wavelength, camera.bands)
         return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
 
     @classmethod
-    def of(cls, bands: Any = None) -> BandSet:
+    def of(cls, bands: Any = None) -> "BandSet":
         # Return the bands of an object with ``wavelength`` and ``fwhm``; None gives the Nano-Hyperspec.
         #
         # The line shape is the attribute ``srf_shape`` of a Dataset, or ``shape`` of other objects. Smile and
@@ -714,7 +712,7 @@ class Optics:
         self.reach = len(pairs[0][0]) // 2
 
     @classmethod
-    def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
+    def of(cls, settings: OpticsSettings, wavelength: Floats) -> "Optics | None":
         # optics with these settings, or None if all effects are off
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
@@ -801,7 +799,7 @@ class Camera:
     etendue: float = ETENDUE  # of an element [m2 sr]
 
     @classmethod
-    def of(cls, settings: SimulationSettings) -> Camera:
+    def of(cls, settings: SimulationSettings) -> "Camera":
         """Return the camera of these settings.
 
         Examples

@@ -7,8 +7,6 @@ radiance of the sky. Only this module chooses the source of a diffuse fraction: 
 declared. `survey`, the corrections and signatures use it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -138,7 +136,7 @@ class LightSplit:
     state: Any = UNKNOWN_STATE  #: Number in `SKY_STATES`, also as an array over lines; or `UNKNOWN_STATE`.
     states: tuple[str, ...] = ()  #: Frequent states of the sky; only of a mean over lines.
 
-    def mean(self) -> LightSplit:
+    def mean(self) -> "LightSplit":
         # Return the mean over lines; eager.
         line_dims = [dim for dim in self.fraction.dims if dim != BAND]
         if not line_dims:

@@ -1,7 +1,5 @@
 """The scene model: result of the survey of a flight line, small enough to be stored beside it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -202,7 +200,7 @@ class SceneModel:
         return xr.Dataset(variables, attrs={"hyperpaint_format": FORMAT_VERSION, **self.attrs})
 
     @classmethod
-    def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
+    def from_dataset(cls, dataset: xr.Dataset) -> "SceneModel":
         """Return the model stored in a Dataset.
 
         Raises `SchemaError`: variables are missing or have other dims, types or sizes, numbers refer to

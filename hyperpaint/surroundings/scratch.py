@@ -1,7 +1,5 @@
 """Large arrays of a line in unnamed temporary files, so that memory does not grow with the line."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import math
@@ -103,7 +101,7 @@ def line_blocks(array: Array, overlap: int = 0) -> Iterator[tuple[slice, Array]]
         release(array)
 
 
-def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Progress | None = None) -> None:
+def compute_into(lazy: "Sequence[da.Array]", outs: Sequence[Array], progress: Progress | None = None) -> None:
     # Compute lazy arrays with equal chunks along their lines into ``outs``, some chunks at a time.
     import dask
 

@@ -1,7 +1,5 @@
 """Segments of one surface in one light: division of a picture, spectra as bodies in other light, lobes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -243,7 +241,7 @@ class Light(NamedTuple):
     sunward: Floats  #: Excess of the sky around the sun over the zenith, in a perfect mirror.
 
     @classmethod
-    def under(cls, diffuse: Floats, zenith: Floats | float = 1.0, sunward: Floats | float = 0.0) -> Light:
+    def under(cls, diffuse: Floats, zenith: Floats | float = 1.0, sunward: Floats | float = 0.0) -> "Light":
         # Return the light of a diffuse fraction (channel,) and a sky's radiances over its mean [1].
         return cls(1.0 - diffuse, diffuse, diffuse * zenith, diffuse * sunward)
 
@@ -413,7 +411,7 @@ class Mixtures(NamedTuple):
     sent: Floats  #: (n,): Amount b of light sent by a neighbour [1].
     misfit: Floats  #: (n,): Root mean square of the residual, relative to the reflectance [1].
 
-    def subset(self, mask: Bools) -> Mixtures:
+    def subset(self, mask: Bools) -> "Mixtures":
         return Mixtures._make(values[mask] for values in self)
 
 

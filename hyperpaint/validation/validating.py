@@ -7,8 +7,6 @@ converted where possible.
 The result has statistics, spectra, and a text table.
 """
 
-from __future__ import annotations
-
 import functools
 import html
 import itertools
@@ -251,7 +249,7 @@ class Validation:
     unpaired_references: tuple[str, ...]
     missing: tuple[str, ...]
     tolerance: Mapping[str, float]
-    between: Validation | None = None
+    between: "Validation | None" = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -540,7 +538,7 @@ class Measured:
         # Whether any part of the uncertainty is known.
         return any(component is not None for component in (self.u_random, self.u_systematic, self.sd))
 
-    def times(self, factor: Floats | float, **changes: Any) -> Measured:
+    def times(self, factor: Floats | float, **changes: Any) -> "Measured":
         # Return the spectrum with values and spreads multiplied by a factor, and other changed fields.
         spreads = {"u_random": self.u_random, "u_systematic": self.u_systematic, "sd": self.sd}
         scaled = {name: None if spread is None else spread * factor for name, spread in spreads.items()}
@@ -1085,7 +1083,7 @@ class _Channels:
     @classmethod
     def of(
         cls, wavelength: Any, data_fwhm: Any, user_fwhm: float | None, instrument: str, detector: Any = None
-    ) -> _Channels:
+    ) -> "_Channels":
         # `data_fwhm`: widths in the data; `user_fwhm`: width that the user states
         wavelength = np.asarray(wavelength, np.float64)
         order, number, joins = join_detectors(wavelength)

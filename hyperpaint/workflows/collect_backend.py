@@ -3,8 +3,6 @@
 xarray loads this module at a user's first `open_dataset`: it imports nothing but xarray.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -43,7 +41,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
 
     def open_datatree(
         self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True
-    ) -> xr.DataTree:
+    ) -> "xr.DataTree":
         # Open all files of the collect; see `hyperpaint.open_collect` for the options and the errors.
         from .collects import open_collect
 
@@ -53,7 +51,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
             tree.map_over_datasets(lambda node: node.drop_vars(dropped, errors="ignore")) if dropped else tree
         )
 
-    def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> dict[str, xr.Dataset]:
+    def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> "dict[str, xr.Dataset]":
         # Open all files of the collect, as datasets by group.
         return {
             path: node.to_dataset()
@@ -67,7 +65,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         drop_variables: Any = None,
         group: str | None = None,
         need_irradiance: bool = True,
-    ) -> xr.Dataset:
+    ) -> "xr.Dataset":
         # Open one group, such as ``flightlines/raw_0``.
         #
         # Raises `SchemaError`: The collect has no such group, or none was named; those that exist are listed.

@@ -16,8 +16,6 @@ store, or the file of the record, says from which inputs an existing product was
 A virtual store is a collect as a small store that refers to the raw cubes of the camera.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib
@@ -261,7 +259,7 @@ def write_groups(
     announce: Callable[[str], str] | None = None,
     overwrite: bool = False,
     codec: Codec = DEFAULT_CODEC,
-    client: Client | None = None,
+    client: "Client | None" = None,
 ) -> Outcome:
     # Write the groups of a store that are missing or not current; complete groups stay.
     #
@@ -325,7 +323,7 @@ def write_groups(
 _SLABS_OF_A_TASK = 8
 
 
-def _groups_at_once(client: Client | None, groups: Mapping[str, xr.Dataset]) -> tuple[int, bool]:
+def _groups_at_once(client: "Client | None", groups: Mapping[str, xr.Dataset]) -> tuple[int, bool]:
     # Number of groups that keep all threads of a cluster busy, and whether each is one task; 1 on the threads
     # of this process. Groups of one task cost the client least, where there are enough for all threads.
     if client is None:
@@ -344,7 +342,7 @@ WORKERS_WAIT = 60
 
 
 @contextlib.contextmanager
-def computing_on(address: str | None) -> Iterator[Client | None]:
+def computing_on(address: str | None) -> "Iterator[Client | None]":
     # Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
     #
     # Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at
@@ -875,7 +873,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product) -> xr.Dataset:
 
 
 def demand_of(
-    groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None
+    groups: Mapping[str, xr.Dataset], lines: int, client: "Client | None", limit: int | None
 ) -> Demand:
     # lines per task and threads with which this process, or each worker, stays within its memory
 

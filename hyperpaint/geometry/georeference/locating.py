@@ -9,8 +9,6 @@ Mounting and clock of a camera are solved from control or tie points.
 Reference systems and maps of the earth, through pyproj (extra ``geo``).
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json
@@ -884,7 +882,7 @@ class Swath:
     boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
     #: From the reference point of positions to the projection centre: forward, right, down [m]
     lever_arm: tuple[float, float, float]
-    ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or height raster
+    ground: "float | Terrain"  #: Height of level ground above the ellipsoid [m], or height raster
     crs: str  #: Map
     starts: Ints  #: (slab + 1,): first line of every slab, and the number of lines
 
@@ -2117,7 +2115,7 @@ class Misses:
         distances = np.linalg.norm(self.misses(free), axis=1)
         return distances if self.height is None else np.tile(distances.reshape(2, -1).max(axis=0), 2)
 
-    def whitened(self, free: Floats) -> Misses:
+    def whitened(self, free: Floats) -> "Misses":
         # Return the misses with whitening computed at these parameters.
         parameters = self.parameters(free)
         return replace(self, white=[sight.whitening(parameters) for sight in self.sights])

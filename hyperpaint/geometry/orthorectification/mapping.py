@@ -5,8 +5,6 @@ only the slabs of lines that cover its tile. The survey of all lines decides the
 few numbers per line, so that it needs the memory of a few slabs, whatever the length of the flight.
 """
 
-from __future__ import annotations
-
 import math
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -616,7 +614,7 @@ class Tiles:
         places: Sequence[da.Array],
         *,
         bilinear: bool,
-    ) -> Tiles:
+    ) -> "Tiles":
         # Return tiles whose index follows from the places of pixels: see `index_tile`.
         starts = tuple(np.cumsum((0, *places[0].chunks[0][:-1])).tolist())
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}

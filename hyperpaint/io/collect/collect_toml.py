@@ -1,7 +1,5 @@
 """Collects: a ``collect.toml`` read and checked, its files located, then opened lazily as one tree."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping

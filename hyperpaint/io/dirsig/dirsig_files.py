@@ -15,8 +15,6 @@ References
 .. [2] DIRSIG manual, "Material Database", https://dirsig.cis.rit.edu/docs/new/mat.html
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re
@@ -438,17 +436,17 @@ class Section:
     # A section of the tag format.
     name: str  # Text before the bracket
     # Pairs of key and value, and sections, in the order of the file
-    items: tuple[tuple[str, str] | Section, ...] = ()
+    items: "tuple[tuple[str, str] | Section, ...]" = ()
 
     def get(self, key: str) -> str | None:
         # Return the value of a key, None without one.
         return next((item[1] for item in self.items if isinstance(item, tuple) and item[0] == key), None)
 
-    def section(self, name: str) -> Section | None:
+    def section(self, name: str) -> "Section | None":
         # Return the section of a name, None without one.
         return next((item for item in self.sections() if item.name == name), None)
 
-    def sections(self) -> Iterator[Section]:
+    def sections(self) -> "Iterator[Section]":
         # Yield the inner sections.
         return (item for item in self.items if isinstance(item, Section))
 

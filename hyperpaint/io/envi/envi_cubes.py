@@ -20,8 +20,6 @@ without copying them; `EnviParser` is a parser of VirtualiZarr.
 memory of a few blocks. Header and data are published together, the header last.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import itertools
@@ -1276,7 +1274,7 @@ class EnviParser:
         self.variable = variable
         self.lines = lines
 
-    def __call__(self, url: str, registry: Any) -> ManifestStore:
+    def __call__(self, url: str, registry: Any) -> "ManifestStore":
         """Return the cube as a store of references.
 
         ``url``: of the data file or of its header; ``registry``: an

@@ -11,8 +11,6 @@ Writing of maps as GeoTIFF and in other formats of GDAL: all bands, or a picture
 Windows are written one row of tiles at a time; GDAL then streams the plain file into the final format.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -28,8 +28,6 @@ Navigation of any format as one dataset with UTC stamps and declared conventions
 last: surveyed coordinates, and the pixels where the points are visible.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import datetime
@@ -420,7 +418,7 @@ class Navigation:
             code="time-uncovered",
         )
 
-    def dated_by(self, clock: Clock) -> Navigation:
+    def dated_by(self, clock: Clock) -> "Navigation":
         # Return the record with UTC from a clock of the recording computer; drop rows outside its range.
         stamp = self.stamps.get("time of day")
         if self.utc is not None or stamp is None:
@@ -429,7 +427,7 @@ class Navigation:
         utc = clock.at(stamp).astype(np.int64)
         return replace(self, utc=utc)._of_rows(utc != NAT)
 
-    def _of_rows(self, keep: Bools) -> Navigation:
+    def _of_rows(self, keep: Bools) -> "Navigation":
         stamps = {name: stamp[keep] for name, stamp in self.stamps.items()}
         values = {name: value[keep] for name, value in self.values.items()}
         utc = None if self.utc is None else self.utc[keep]
@@ -1677,7 +1675,7 @@ def read_record(
     return readers[format](path)
 
 
-def _headwall_record(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
+def _headwall_record(path: Path, source: "TimeSource", gps_time: Path | None) -> PoseRecord:
     # Read ``imu_gps.txt`` with stamps before correction by ``clock_offset_s``.
     record: Navigation = read_imu_gps(path)
     needs_date = record.utc is None

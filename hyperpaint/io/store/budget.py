@@ -8,8 +8,6 @@ A limit of the address space (``ulimit -v``, some batch systems) includes more t
 and the arenas that glibc reserves for every thread, see `HELPER_SPACE` and `THREAD_SPACE`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -93,7 +91,7 @@ class Load:
     lines: int  # Number of scan lines of the flight line
 
     @classmethod
-    def of(cls, line: xr.Dataset) -> Load:
+    def of(cls, line: xr.Dataset) -> "Load":
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize

@@ -13,8 +13,6 @@ recognised as unfinished. Groups and arrays of other programs are not in the man
 The location of a store: a local folder, a zip file, a URL of fsspec, or a store object of zarr.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib
@@ -108,7 +106,7 @@ class Location:
     local: Path | None  # Folder of a store on a local disk; else None
 
     @classmethod
-    def of(cls, path: str | os.PathLike[str]) -> Location:
+    def of(cls, path: str | os.PathLike[str]) -> "Location":
         # Return the location for a path or a URL.
         #
         # Raises `MissingExtraError`: The package for this kind of URL is not installed.
@@ -458,7 +456,7 @@ class Manifest:
         }
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any], where: str) -> Manifest:
+    def from_document(cls, document: Mapping[str, Any], where: str) -> "Manifest":
         # Return the manifest in a ``zarr.json``; `IncompleteStoreError` if it is damaged or newer.
         try:
             attributes = document["attributes"]
@@ -497,7 +495,7 @@ class Manifest:
             ) from None
 
     @classmethod
-    def read(cls, location: Location, *, ignore_damage: bool = False) -> Manifest | None:
+    def read(cls, location: Location, *, ignore_damage: bool = False) -> "Manifest | None":
         # Return the manifest of a store, None if it has none, or a damaged one with ``ignore_damage``.
         where = location.key(MANIFEST_NODE, METADATA)
         try:
@@ -527,7 +525,7 @@ class Manifest:
         )
         return [] if is_unchanged or len(write.contents) == 1 else lacking
 
-    def settled(self, location: Location) -> Manifest:
+    def settled(self, location: Location) -> "Manifest":
         # Return the manifest without the writes that are finished or changed nothing.
         #
         # Entries of groups that such a write has published are computed from the files.

@@ -9,8 +9,6 @@ Every reference is compared with the list of raw files and with the size of the 
 errors. References of kerchunk (JSON) are errors, too, since their readers run templates.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import datetime
@@ -75,7 +73,7 @@ class RawFile:
     etag: str | None = None  #: ID of the content from the server; None if it has none
 
     @classmethod
-    def of(cls, url: str) -> RawFile:
+    def of(cls, url: str) -> "RawFile":
         # Return the present state of a file, read with the credentials of the environment.
         #
         # Raises `StoreError`: The file cannot be reached, or icechunk cannot read such URLs.

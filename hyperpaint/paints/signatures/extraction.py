@@ -4,8 +4,6 @@ Only blocks of lines with pixels of regions are computed, one task a block, whic
 They are reduced in the order of the regions, so that results have the same bits for any chunking.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
@@ -896,7 +894,7 @@ def extract_signatures(
 
 
 def _searched_flags(
-    sources: Mapping[str, Source], drafts: Sequence[Draft], names: Mapping[int, str], flags: int
+    sources: Mapping[str, Source], drafts: "Sequence[Draft]", names: Mapping[int, str], flags: int
 ) -> int:
     # Flags among ``flags`` for which all lines were searched; warns of lines without flags of the scene.
     scene = flags_set_from("scene")
@@ -988,7 +986,7 @@ def _rounds(
         yield batch, slice(0, bands)
 
 
-def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:
+def _small(regions: Regions, drafts: "Sequence[Draft]", min_pixels: int) -> dict[int, str]:
     # Text about every region with too few usable pixels, by its number
     texts = {}
     for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):

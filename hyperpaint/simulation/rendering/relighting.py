@@ -19,8 +19,6 @@ wavelengths of the centre column. Shares of sun and sky add up to 1; glint, mirr
 are disjoint parts of them.
 """
 
-from __future__ import annotations
-
 import pickle
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -1405,7 +1403,7 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
 # Light and camera, shared by all tasks of a relighting
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    table: ProductTable  # products of paths
+    table: "ProductTable"  # products of paths
     # direct, diffuse: (band, cross_track or 1): irradiance of a level surface in the bands [W m-2 nm-1]
     direct: Floats
     diffuse: Floats
