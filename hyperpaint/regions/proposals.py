@@ -2377,17 +2377,15 @@ def propose_regions(
         judged += judge_car(car, picture, limits)
         release(picture.channels)
     # Accepted pieces by score, and refused pieces with their objections
-    places = _Places(line, scene.channel_wavelength, name)
     accepted = [verdict for verdict in judged if not verdict.objections]
     accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
+    named = _names_and_places(accepted, line, scene.channel_wavelength, name)
     refused = [verdict for verdict in judged if verdict.objections]
     refused.sort(key=lambda verdict: verdict.scenery)
     digits = len(str(max(len(refused), 10)))
     proposed = [
         region_of(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
-        for rank, (verdict, (name, place)) in enumerate(
-            zip(accepted, places.of(accepted), strict=True), start=1
-        )
+        for rank, (verdict, (name, place)) in enumerate(zip(accepted, named, strict=True), start=1)
     ][:most]
     others = [
         region_of(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
@@ -2397,55 +2395,39 @@ def propose_regions(
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
 
 
-class _Places:
-    # Names of paints by colour and order along a line, and their places.
-
-    def __init__(self, line: xr.Dataset, wavelength: Floats, prefix: str) -> None:
-        self.line, self.wavelength, self.prefix = line, wavelength, prefix
-
-    def of(self, verdicts: list[Verdict]) -> list[tuple[str, dict[str, Any]]]:
-        # Return name and place of every verdict.
-        centres = np.array([_centre(verdict) for verdict in verdicts], np.int64).reshape(-1, 2)
-        lines, columns = (
-            schema.numbers_of(self.line, dim)[k] for dim, k in zip(_DIMS, centres.T, strict=True)
+def _names_and_places(
+    verdicts: list[Verdict], line: xr.Dataset, wavelength: Floats, prefix: str
+) -> list[tuple[str, dict[str, Any]]]:
+    # Name of every verdict, by the colour of its paint and its order along the line, and its place.
+    # the usable pixel that is nearest to the mean of the usable pixels: line and column
+    usable = [np.argwhere(each.measures.usable) + np.array(each.piece.origin) for each in verdicts]
+    centres = np.array(
+        [pixels[((pixels - pixels.mean(axis=0)) ** 2).sum(axis=1).argmin()] for pixels in usable], np.int64
+    ).reshape(-1, 2)
+    lines, columns = (schema.numbers_of(line, dim)[k] for dim, k in zip(_DIMS, centres.T, strict=True))
+    places: list[dict[str, Any]] = [
+        {"place": f"line {along:.0f}, column {across:.0f}"}
+        for along, across in zip(lines, columns, strict=True)
+    ]
+    # longitude and latitude, with the geometry of the line
+    with contextlib.suppress(PaintError):
+        x, y, crs = ground_of(
+            line if {"east", "north"} <= set(line.variables) else locate(line), GEOGRAPHIC_CRS
         )
-        places: list[dict[str, Any]] = [
-            {"place": f"line {line:.0f}, column {column:.0f}"}
-            for line, column in zip(lines, columns, strict=True)
-        ]
-        for place, (longitude, latitude) in zip(places, self._positions(centres), strict=False):
-            if np.isfinite(latitude + longitude):
-                place["place"] += f", {latitude:.6f}, {longitude:.6f}"
-                place |= {"latitude": round(latitude, 7), "longitude": round(longitude, 7)}
-        colours = [
-            colour_name(verdict.measures.spectrum, self.wavelength).replace(" ", "-") for verdict in verdicts
-        ]
-        names, counts = [""] * len(verdicts), Counter[str]()
-        for k in np.lexsort(centres.T[::-1]):
-            counts[colours[k]] += 1
-            names[k] = f"{self.prefix}{'_' * bool(self.prefix)}{colours[k]}-{counts[colours[k]]:02}"
-        return list(zip(names, places, strict=True))
-
-    def _positions(self, centres: Array) -> list[list[float]]:
-        # Longitude and latitude of pixels (n, 2) [degree]; empty without the geometry of the line
-        with contextlib.suppress(PaintError):
-            is_located = {"east", "north"} <= set(self.line.variables)
-            x, y, crs = ground_of(self.line if is_located else locate(self.line), GEOGRAPHIC_CRS)
-            at = {dim: xr.DataArray(k, dims="place") for dim, k in zip(_DIMS, centres.T, strict=True)}
-            ground = np.stack(dask.compute(x.isel(at).data, y.isel(at).data), axis=1)
-            if crs is not None or x.name in ("longitude", "lon"):
-                positions: list[list[float]] = between_maps(
-                    ground, crs_of(crs or GEOGRAPHIC_CRS), GEOGRAPHIC_CRS
-                ).tolist()
-                return positions
-        return []
-
-
-def _centre(verdict: Verdict) -> Array:
-    # Line and column of the usable pixel that is nearest to the mean of the usable pixels, (2,)
-    inside = np.argwhere(verdict.measures.usable) + np.array(verdict.piece.origin)
-    nearest: Array = inside[((inside - inside.mean(axis=0)) ** 2).sum(axis=1).argmin()]
-    return nearest
+        at = {dim: xr.DataArray(k, dims="place") for dim, k in zip(_DIMS, centres.T, strict=True)}
+        ground = np.stack(dask.compute(x.isel(at).data, y.isel(at).data), axis=1)
+        if crs is not None or x.name in ("longitude", "lon"):
+            ground = between_maps(ground, crs_of(crs or GEOGRAPHIC_CRS), GEOGRAPHIC_CRS)
+            for place, (longitude, latitude) in zip(places, ground.tolist(), strict=True):
+                if np.isfinite(latitude + longitude):
+                    place["place"] += f", {latitude:.6f}, {longitude:.6f}"
+                    place |= {"latitude": round(latitude, 7), "longitude": round(longitude, 7)}
+    colours = [colour_name(each.measures.spectrum, wavelength).replace(" ", "-") for each in verdicts]
+    names, counts = [""] * len(verdicts), Counter[str]()
+    for k in np.lexsort(centres.T[::-1]):
+        counts[colours[k]] += 1
+        names[k] = f"{prefix}{'_' * bool(prefix)}{colours[k]}-{counts[colours[k]]:02}"
+    return list(zip(names, places, strict=True))
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
