@@ -442,12 +442,12 @@ class Coating:
         problems.raise_if_any()
         if low.any() or high.any():
             finite_count = int(np.isfinite(values).sum())
-            msg = (
+            warn_user(
                 f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
                 f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
-                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1"
+                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1",
+                "reflectance-outside-model",
             )
-            warn_user(msg, "reflectance-outside-model")
         layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
@@ -723,11 +723,11 @@ def sample_paints(
         variants[number][:, bands] = draw_variants(complete, count, rng, bandwidth)
     problems.raise_if_any()
     if excluded or outside:
-        msg = (
+        warn_user(
             f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
-            f"than {_MIN_MARGIN:g}, the range of variants"
+            f"than {_MIN_MARGIN:g}, the range of variants",
+            "members-left-out",
         )
-        warn_user(msg, "members-left-out")
     # Variants (signature, member, band) as members of one new paint for each parent, or as paints
     count = variants.shape[1]
     parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
@@ -888,8 +888,10 @@ def mix_paints(
             outside = int(((array < 0.0) | (array > 1.0)).sum())
             if outside:
                 finite_count = int(np.isfinite(array).sum())
-                msg = f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale"
-                warn_user(msg, "reflectance-clipped")
+                warn_user(
+                    f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale",
+                    "reflectance-clipped",
+                )
         mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
@@ -907,12 +909,12 @@ def mix_paints(
         counts = np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1)
         unpaired = np.array([int((counts[row] - counts[row].min()).sum()) for row in weights > 0.0])
         if unpaired.any():
-            msg = (
+            warn_user(
                 f"{unpaired.sum()} members of the parents of {int((unpaired > 0).sum())} of {len(unpaired)} "
                 "paints have no partner and were excluded; draw the same number of members of each parent "
-                "with sample_paints first"
+                "with sample_paints first",
+                "members-unpaired",
             )
-            warn_user(msg, "members-unpaired")
     values = _trimmed(specular | mix)
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 

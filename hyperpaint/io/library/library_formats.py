@@ -573,10 +573,9 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
                     wavelength=text.wavelength if options.wavelength is None else options.wavelength,
                     reflectance=values,
                 )
-            elif is_sample_table:
-                spectra = read_sample_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             else:
-                spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
+                read = read_sample_table if is_sample_table else read_plain_table
+                spectra = read(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))
     except StoreError:
         raise

@@ -246,8 +246,10 @@ def reflectances(
         is_missing = np.isin(values, _PLAUSIBLE.missing_values) | far_below
     if is_missing.any():
         count, example = int(is_missing.sum()), float(values[is_missing][0])
-        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
-        warn_user(msg, "values-far-below-zero")
+        warn_user(
+            f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing",
+            "values-far-below-zero",
+        )
         values[is_missing] = np.nan
     if divisor is None:
         max_bright_share = _PLAUSIBLE.max_bright_share if not is_reflectance else 1.0
@@ -283,11 +285,11 @@ def reflectances(
             for spectrum, is_finite in zip(values, finite, strict=True)
         ]
         if is_bright.any():
-            msg = (
+            warn_user(
                 f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
-                f"{_PLAUSIBLE.max_median:g}, up to {magnitudes.max():g}, and no scale; {advice}"
+                f"{_PLAUSIBLE.max_median:g}, up to {magnitudes.max():g}, and no scale; {advice}",
+                "scale-missing",
             )
-            warn_user(msg, "scale-missing")
     elif divisor != 1.0:
         values /= divisor
         finite = values[np.isfinite(values)]
@@ -296,8 +298,10 @@ def reflectances(
             (finite > _PLAUSIBLE.bright).mean() > _PLAUSIBLE.max_bright_share
             or finite.max() < _PLAUSIBLE.min_brightest
         ):
-            msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
-            warn_user(msg, "scale-doubtful")
+            warn_user(
+                f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale=",
+                "scale-doubtful",
+            )
     with np.errstate(over="ignore"):
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
@@ -735,8 +739,10 @@ def restored(
     if sidecar.exists():
         about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands})
     else:
-        text = f"{source}: {sidecar.name} is missing: names and columns are from the file, without units"
-        warn_user(text, "metadata-missing")
+        warn_user(
+            f"{source}: {sidecar.name} is missing: names and columns are from the file, without units",
+            "metadata-missing",
+        )
     for first, block in rows:
         records = slice(first, first + len(block))
         for position, values in enumerate(data.values()):
@@ -746,11 +752,11 @@ def restored(
     library = _with_metadata(data, axes, names, about, source)
     stored_columns = {} if about is None else table_columns(library)
     if edited := [name for name, cells in columns.items() if list(cells) != stored_columns.get(name, cells)]:
-        text = (
+        warn_user(
             f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
-            "the table"
+            "the table",
+            "metadata-differ",
         )
-        warn_user(text, "metadata-differ")
     # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}
@@ -1157,16 +1163,12 @@ def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str
             continue
         # a line of units below the names
         units = [cell.strip() for cell in rows[0]]
-        if (
-            any(units)
-            and all(map(_UNIT_CELL.fullmatch, units))
-            and [len(row) for row in rows] == [columns] * 2
-        ):
-            return [
-                f"{name.strip()} ({unit})" if unit else name
-                for name, unit in zip(rows[1], units, strict=True)
-            ]
-        return rows[0][:columns]
+        has_units = any(units) and all(map(_UNIT_CELL.fullmatch, units))
+        return (
+            [f"{name.strip()} ({unit})" if unit else name for name, unit in zip(rows[1], units, strict=True)]
+            if has_units and [len(row) for row in rows] == [columns] * 2
+            else rows[0][:columns]
+        )
     return []
 
 
@@ -1201,12 +1203,12 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
         is_spread = names_spread & np.array(
             [word or not paint or paint in mean_paints for word, paint in zip(in_words, paints, strict=True)]
         )
-        if is_spread[0]:
-            raise FormatError(
-                f"{source}: the first spectrum is named {headings[1].strip()!r}",
-                expected="reflectance before its standard deviation",
-                code="column-order",
-            )
+        FormatError.raise_if(
+            is_spread[0],
+            f"{source}: the first spectrum is named {headings[1].strip()!r}",
+            expected="reflectance before its standard deviation",
+            code="column-order",
+        )
         roles[is_spread] = _IS_SPREAD
         spectra = np.flatnonzero(~is_spread)
         for at in np.flatnonzero(is_spread):
@@ -2302,9 +2304,12 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
         rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
     except (FormatError, csv.Error):
         return {}
-    if not rows or rows[0][0].strip().lower() != "spectra names" or len(rows) != len(names) + 1:
-        return {}
-    if [row[0].strip() for row in rows[1:]] != list(names) or any(len(row) != len(rows[0]) for row in rows):
+    if (
+        not rows
+        or rows[0][0].strip().lower() != "spectra names"
+        or [row[0].strip() for row in rows[1:]] != list(names)
+        or any(len(row) != len(rows[0]) for row in rows)
+    ):
         return {}
     return {
         key: text_column([row[at] for row in rows[1:]])
