@@ -210,14 +210,13 @@ class Convention:
         heights = np.asarray(height, np.float64)
         if self.height_reference == "ellipsoid":
             return heights
-        if self.geoid_undulation is None:
-            raise SchemaError(
-                "heights are above the geoid, and geoid_undulation is not declared",
-                mend="look up the height of the geoid above the ellipsoid at the place [m] and declare it: "
-                "Convention(height_reference='geoid', geoid_undulation=...)",
-                code="undulation-missing",
-            )
-        return heights + self.geoid_undulation
+        return heights + SchemaError.raise_if_none(
+            self.geoid_undulation,
+            "heights are above the geoid, and geoid_undulation is not declared",
+            mend="look up the height of the geoid above the ellipsoid at the place [m] and declare it: "
+            "Convention(height_reference='geoid', geoid_undulation=...)",
+            code="undulation-missing",
+        )
 
     def replace(self, **changes: Any) -> "Convention":
         """Return the convention with other choices."""
@@ -228,21 +227,21 @@ class Convention:
         if self.heading_reference == "true":
             return np.zeros(())
         if self.heading_reference == "magnetic":
-            if self.declination is None:
-                raise SchemaError(
-                    "headings count from magnetic north, and declination is not declared",
-                    mend="look up the declination of the place and day [degree, east positive]: "
-                    "Convention(heading_reference='magnetic', declination=...)",
-                    code="declination-missing",
-                )
-            return np.asarray(self.declination, np.float64)
-        if convergence is None:
-            raise SchemaError(
+            north: Any = SchemaError.raise_if_none(
+                self.declination,
+                "headings count from magnetic north, and declination is not declared",
+                mend="look up the declination of the place and day [degree, east positive]: "
+                "Convention(heading_reference='magnetic', declination=...)",
+                code="declination-missing",
+            )
+        else:
+            north = SchemaError.raise_if_none(
+                convergence,
                 "headings count from grid north, and the map is not declared",
                 mend="declare it: Convention(heading_reference='grid', grid_crs='EPSG:...')",
                 code="grid-crs-missing",
             )
-        return np.asarray(convergence, np.float64)
+        return np.asarray(north, np.float64)
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:

@@ -728,9 +728,8 @@ class Fact:
         lower = "" if self.least is None else f" {'above' if self.above else 'from'} {low}"
         if self.most is None:
             return lower
-        if self.above:
-            return f"{lower} and {'below' if self.below else 'at most'} {high}"
-        return f"{lower} to {'below ' if self.below else ''}{high}"
+        upper = "and below" if self.above and self.below else "and at most" if self.above else "to"
+        return f"{lower} {upper} {'below ' if self.below and not self.above else ''}{high}"
 
     def fault(self, value: Any) -> str | None:
         # Return the code of the fault of a value, or None for an accepted one.
@@ -770,9 +769,9 @@ class Fact:
         return "not-finite" if is_infinite else "type-wrong"
 
     def _inside(self, value: Any) -> bool:
-        if self.least is not None and (value < self.least or (self.above and value == self.least)):
-            return False
-        return self.most is None or not (value > self.most or (self.below and value == self.most))
+        is_low = self.least is not None and (value < self.least or (self.above and value == self.least))
+        is_high = self.most is not None and (value > self.most or (self.below and value == self.most))
+        return not is_low and not is_high
 
     @property
     def mend(self) -> str:

@@ -93,13 +93,18 @@ class Variable:
 
     def dim_problem(self, array: xr.DataArray) -> Problem | None:
         # Return the fault of an array's dims, in any order; None for accepted dims.
-        if any(set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims):
-            return None
-        return Problem(
-            f"{self.name!r} has dims ({', '.join(map(str, array.dims))})",
-            expected=" or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims),
-            mend=self._mend_of_dims(array),
-            code="dims-wrong",
+        is_allowed = any(
+            set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims
+        )
+        return (
+            None
+            if is_allowed
+            else Problem(
+                f"{self.name!r} has dims ({', '.join(map(str, array.dims))})",
+                expected=" or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims),
+                mend=self._mend_of_dims(array),
+                code="dims-wrong",
+            )
         )
 
     def _mend_of_dims(self, array: xr.DataArray) -> str:
@@ -117,25 +122,23 @@ class Variable:
                 f"the dimension {dim} was dropped, as isel({dim}=5) or a mean over it does; "
                 f"isel({dim}=[5]) keeps it"
             )
-        if added and not missing and set(added) <= set(CUBE):
-            return (
-                f"where(..., drop=True) and xr.concat gave it {' and '.join(added)}: choose by .sel() or "
-                '.isel(), join with data_vars="minimal", coords="minimal", compat="override"'
-            )
-        return "rename them, or name them with dims={...}"
+        return (
+            f"where(..., drop=True) and xr.concat gave it {' and '.join(added)}: choose by .sel() or "
+            '.isel(), join with data_vars="minimal", coords="minimal", compat="override"'
+            if added and not missing and set(added) <= set(CUBE)
+            else "rename them, or name them with dims={...}"
+        )
 
     def unit_problem(self, array: xr.DataArray) -> Problem | None:
         # Return the fault of an array's units; None for convertible units, and for a row without units.
         units = array.attrs.get("units")
-        if not self.units:
-            return None
-        if units is None:
+        if self.units and units is None:
             return Problem(
                 f"{self.name!r} has no units",
                 mend=f"set {self.name}.attrs['units'], for example to {self.units!r}",
                 code="units-missing",
             )
-        if str(units) == self.units or same_dimension(str(units), self.units):
+        if not self.units or str(units) == self.units or same_dimension(str(units), self.units):
             return None
         return Problem(
             f"{self.name!r} has units {str(units)!r}",
@@ -668,11 +671,10 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
 def _is_averaged(dataset: xr.Dataset) -> bool:
     # coarsen and interp average flags over pixels.
     quality = dataset.variables["quality"]
-    if quality.dtype.kind != "f":
-        return False
-    if any(dim in dataset.coords and dataset[dim].dtype.kind == "f" for dim in (ALONG_TRACK, CROSS_TRACK)):
-        return True
-    return quality.chunks is None and bool((np.nan_to_num(quality.values) % 1.0 != 0.0).any())
+    return quality.dtype.kind == "f" and (
+        any(dim in dataset.coords and dataset[dim].dtype.kind == "f" for dim in (ALONG_TRACK, CROSS_TRACK))
+        or (quality.chunks is None and bool((np.nan_to_num(quality.values) % 1.0 != 0.0).any()))
+    )
 
 
 def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:

@@ -1135,11 +1135,13 @@ class Result:
 
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
-        electrons_source = "none" if self.electrons_per_count is None else "as stated"
-        if lab.electrons_per_count != self.electrons_per_count:
-            electrons_source = (
-                "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
-            )
+        electrons_source = (
+            "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
+            if lab.electrons_per_count != self.electrons_per_count
+            else "none"
+            if self.electrons_per_count is None
+            else "as stated"
+        )
         # distance of the measured response from the better model, and its effect
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:

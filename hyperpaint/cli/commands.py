@@ -1088,9 +1088,9 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     path = as_path(like)
     if not path.exists():
         raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
-    if path.suffix.lower() == ".sig":
-        return hp.open_svc(path)
-    return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
+    is_asd = path.is_file() and sniff(path) == "binary"
+    open_file = hp.open_svc if path.suffix.lower() == ".sig" else hp.open_asd if is_asd else hp.open_library
+    return open_file(path)
 
 
 @command(

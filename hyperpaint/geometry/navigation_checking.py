@@ -894,22 +894,17 @@ def _findings(setting: Setting) -> list[Finding]:
     is_precise = np.isfinite(half_exposure) and RULES.clock_sd * clock.sd < half_exposure
     is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock.sd, half_exposure / 2)
     evidence = f"clock {1e3 * clock.value:+.1f} +- {1e3 * clock.sd:.1f} ms"
-    if stamp is not None and not is_on_time and is_offset:
-        return [
-            *findings,
-            Finding(
-                "clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
-            ),
-        ]
-    return [
-        *findings,
-        _finding(
+    last = (
+        Finding("clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s")
+        if stamp is not None and not is_on_time and is_offset
+        else _finding(
             "stamp_reference", stamp,
             (stamp is None, "undecided", "", f"{evidence}; not declared"),
             (is_on_time, "right" if is_precise else "undecided", "", evidence),
             (True, "wrong", likely, f"{evidence}; a clock that is off by as much looks the same"),
-        ),
-    ]  # fmt: skip
+        )
+    )  # fmt: skip
+    return [*findings, last]
 
 
 def _field_findings(setting: Setting, scored: list[Scored], compared: Bools) -> list[Finding]:

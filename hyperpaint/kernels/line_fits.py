@@ -72,9 +72,7 @@ def line_profile(x: float, width: float, source: float, shape: int, triangular: 
     if shape == GAUSSIAN:
         if triangular and source > _MIN_BOX_SAMPLES:
             return _two_boxes(x, source, source, _SIGMA * width)
-        sigma = _SIGMA * width
-        if not triangular:
-            sigma = _SIGMA * math.sqrt(width * width + source * source)
+        sigma = _SIGMA * (width if triangular else math.sqrt(width * width + source * source))
         z = x / sigma
         return float(math.exp(-0.5 * z * z) / (_ROOT2PI * sigma))
     if triangular and source > _MIN_BOX_SAMPLES:

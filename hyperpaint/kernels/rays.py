@@ -382,9 +382,7 @@ def _first_zero(a: float, b: float, c: float) -> float:
     if not (a > 0.0 and b < 0.0):
         return math.nan
     discriminant = b * b - 4.0 * a * c
-    if not discriminant >= 0.0:
-        return math.nan
-    return 2.0 * a / (-b + math.sqrt(discriminant))
+    return 2.0 * a / (-b + math.sqrt(discriminant)) if discriminant >= 0.0 else math.nan
 
 
 @borrowing_kernel
@@ -500,9 +498,7 @@ def _intersection(
 def _to_border(position: float, speed: float, low: float, high: float) -> float:
     if speed > _MIN_SPEED:
         return (high - position) / speed
-    if speed < -_MIN_SPEED:
-        return (low - position) / speed
-    return math.inf
+    return (low - position) / speed if speed < -_MIN_SPEED else math.inf
 
 
 @borrowing_kernel
@@ -512,9 +508,7 @@ def _to_raster(position: float, speed: float, last: float) -> float:
     if 0.0 <= position <= last:
         return 0.0
     gap = -position if position < 0.0 else last - position
-    if gap * speed <= 0.0 or abs(speed) < _MIN_SPEED:
-        return math.inf
-    return gap / speed
+    return math.inf if gap * speed <= 0.0 or abs(speed) < _MIN_SPEED else gap / speed
 
 
 @borrowing_kernel
@@ -526,9 +520,7 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
     end = _first_zero(h[0] - (lowest - _MARGIN), h[1], h[2])
     if not end > 0.0:
         return math.nan
-    s = 0.0
-    if h[0] > highest + _MARGIN:
-        s = _first_zero(h[0] - (highest + _MARGIN), h[1], h[2])
+    s = _first_zero(h[0] - (highest + _MARGIN), h[1], h[2]) if h[0] > highest + _MARGIN else 0.0
     is_unknown = True  # whether the ray may already be below the surface
     for _ in range(8 * (last_row + last_col + 8)):
         if not s < end:

@@ -194,7 +194,6 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
 
 def _column(library: xr.Dataset, name: str, default: float = np.nan) -> Floats:
     # A property of the regions (signature,), with a default where it is absent or not finite
-    values = np.full(library.sizes[SIGNATURE], np.nan)
-    if name in library.variables:
-        values = library[name].values.astype(np.float64)
+    absent = xr.full_like(library[SIGNATURE], np.nan, np.float64)
+    values = library.get(name, absent).values.astype(np.float64)
     return np.where(np.isfinite(values), values, default)

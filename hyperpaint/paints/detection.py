@@ -250,12 +250,12 @@ def make_detector(
         )
     other_distances = distances(other_paints, paints, sky)
     limit = distance_limits(other_distances, unknown_rate)
-    exclusion_limit = np.full(len(paints), -1.0)
-    if has_targets and unknown_rate < 1.0:
-        # pixels that a paint explains may show this paint: exclude them from the background
-        exclusion_limit = distance_limits(
-            other_distances, min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
-        )
+    # pixels that a paint explains may show this paint: exclude them from the background
+    exclusion_limit = (
+        distance_limits(other_distances, min(DETECTION.target_rate_ratio * unknown_rate, 0.5))
+        if has_targets and unknown_rate < 1.0
+        else np.full(len(paints), -1.0)
+    )
     sample = background.sample
     is_background, values = np.ones(len(sample), bool), np.empty((len(sample), len(paints)))
     for start in range(0, len(values), PIXELS_AT_ONCE):

@@ -1247,9 +1247,13 @@ class Explorer:
         )
         self._widgets.spectrum.object = html.escape(name + text)
         # the last click, outlined by its corners
-        corners = clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2))
-        if isinstance(clicked, tuple):
-            corners = np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
+        corners = (
+            np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
+            if isinstance(clicked, tuple)
+            else clicked.polygon
+            if isinstance(clicked, Region)
+            else np.zeros((0, 2))
+        )
         across, along = np.vstack([corners, corners[:1]]).T.tolist()
         self._sources["spot"].data = {"along": along, "across": across}
         if isinstance(spectrum_now, Spectrum):

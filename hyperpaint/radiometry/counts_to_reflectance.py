@@ -256,13 +256,13 @@ def white_reference(
     bands = line["wavelength"].values if "wavelength" in line.coords else np.full(line.sizes[BAND], np.nan)
     factor, surface_u = np.ones(bands.shape), 0.0
     if not is_lambertian(certified.surface):
-        if light_zenith is None:
-            raise SchemaError(
-                "the surface of the tile is declared, but not the direction of its light",
-                mend="pass light_zenith=, the zenith angle of the lamps or the sun [degree]",
-                option="state light_zenith_deg in [reference]",
-                code="panel-light-unknown",
-            )
+        light_zenith = SchemaError.raise_if_none(
+            light_zenith,
+            "the surface of the tile is declared, but not the direction of its light",
+            mend="pass light_zenith=, the zenith angle of the lamps or the sun [degree]",
+            option="state light_zenith_deg in [reference]",
+            code="panel-light-unknown",
+        )
         directional = panel_factor(bands, light_zenith, surface=certified.surface, direct_share=direct_share)
         factor, surface_u = directional.factor, float(np.nanmax(directional.u, initial=0.0))
     SchemaError.raise_if(

@@ -480,9 +480,11 @@ def _panel_means(
     partly_saturated = np.flatnonzero((saturated_share > 0.0) & (saturated_share <= RULES.most_saturated))
     if not partly_saturated.size:
         return number, total, error, saturated_share
-    pattern = np.ones(observed[:, 0].shape)
-    if brightness is not None:
-        pattern = brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
+    pattern = (
+        np.ones(observed[:, 0].shape)
+        if brightness is None
+        else brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
+    )
     pixels = on_panel[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
     limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, partly_saturated], 1, 2)[pixels] / weight
@@ -857,9 +859,8 @@ def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Fl
     # scale (band,) and None; several give logarithms of their scales (panel, band) and their weights (line,
     # panel).
     scale = 1.0 / np.asarray(factor, np.float64)[~refused]
-    if len(scale) == 1:
-        return scale[0], None
-    return _filled(np.log(scale)), np.ascontiguousarray(weight[:, ~refused], np.float64)
+    weights = np.ascontiguousarray(weight[:, ~refused], np.float64)
+    return (scale[0], None) if len(scale) == 1 else (_filled(np.log(scale)), weights)
 
 
 def _filled(scale: Floats) -> Floats:

@@ -555,15 +555,15 @@ def _panel_scale(
             share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))
         row = {**panel, "time": middle_time, "direct_share": share}
         if not is_lambertian(panel["surface"]):
-            if share is None:
-                raise SchemaError(
-                    f"{panel['name']}: the surface of the panel is declared, but the direct share of its "
-                    "light is unknown",
-                    expected="a line with positions and times, an irradiance record with visible channels, "
-                    f"and the sun less than {MAX_SUN_ZENITH_DEG:g} degrees from the zenith",
-                    mend="declare the position of the line, or diffuse_fraction; or leave out surface",
-                    code="panel-light-unknown",
-                )
+            share = SchemaError.raise_if_none(
+                share,
+                f"{panel['name']}: the surface of the panel is declared, but the direct share of its "
+                "light is unknown",
+                expected="a line with positions and times, an irradiance record with visible channels, "
+                f"and the sun less than {MAX_SUN_ZENITH_DEG:g} degrees from the zenith",
+                mend="declare the position of the line, or diffuse_fraction; or leave out surface",
+                code="panel-light-unknown",
+            )
             zenith, azimuth = map(float, solar_position(middle_time, *_mean_position(cube)))
             factor, u = panel_factor(
                 wavelength,

@@ -242,9 +242,8 @@ def linearity_of(dataset: xr.Dataset) -> Linearity:
 
 def table_names(names: Collection[Any]) -> tuple[str, ...]:
     # Return the variables of a table that one of ``names`` belongs to.
-    if {*OF_ELEMENTS} & {*names}:
-        return (*TABLE, *OF_ELEMENTS)
-    return TABLE if TABLE[1] in names else ()
+    has_table = TABLE[1] in names
+    return (*TABLE, *OF_ELEMENTS) if {*OF_ELEMENTS} & {*names} else TABLE if has_table else ()
 
 
 def tabulated(arrays: Mapping[str, Any], on_raw: bool) -> Linearity:

@@ -777,9 +777,9 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
 
         is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
         floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
-        masked = stated.get(MASKED, 0)  # of the whole line, of which this may be a part
-        if MASKED not in stated and "masked" in line.variables:
-            masked = masked_elements(line)
+        # of the whole line, of which this may be a part
+        is_counted = MASKED in stated or "masked" not in line.variables
+        masked = stated.get(MASKED, 0) if is_counted else masked_elements(line)
         common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
         sources = {name: of(variable) for name, variable in common.items() if variable in values}
         if "irradiance_u_systematic" in values:

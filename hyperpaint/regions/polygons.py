@@ -444,13 +444,12 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
                 code="file-kind-wrong",
             )
         readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
-        library = next((name for name in readers if importlib.util.find_spec(name)), None)
-        if library is None:
-            raise MissingExtraError(
-                f"{local.suffix} files need pyogrio or fiona",
-                mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
-                code="dependency-missing",
-            )
+        library = MissingExtraError.raise_if_none(
+            next((name for name in readers if importlib.util.find_spec(name)), None),
+            f"{local.suffix} files need pyogrio or fiona",
+            mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            code="dependency-missing",
+        )
         try:
             crs, features = readers[library](local, MAX_REGIONS)
         except (FormatError, MissingExtraError):
@@ -595,9 +594,7 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
     problems = Problems(f"{subject} cannot be read as regions", FormatError)
     members = document if isinstance(document, Mapping) else {}
     geojson_type = members.get("type")
-    features = members.get("features") if geojson_type == "FeatureCollection" else None
-    if geojson_type == "Feature":
-        features = [document]
+    features = {"FeatureCollection": members.get("features"), "Feature": [document]}.get(str(geojson_type))
     if not isinstance(features, list | tuple):
         description = (
             f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__

@@ -555,7 +555,8 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
         "facts",
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
-    yield from (("variables", partial(_raise, problem)) for problem in problems)
+    refuse: Any = partial(SchemaError.raise_if, True, code="variable-unusable")
+    yield from (("variables", partial(refuse, problem)) for problem in problems)
     yield (
         "spectra",
         lambda: figure_part(
@@ -591,10 +592,6 @@ def _refusals(refused: Sequence[str]) -> Markup:
         numbers=1,
         heading=f"Refused regions: {len(refused)}",
     )
-
-
-def _raise(problem: str) -> Markup:
-    raise SchemaError(problem, code="variable-unusable")
 
 
 def _table_of_paints(library: xr.Dataset) -> Markup:

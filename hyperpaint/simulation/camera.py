@@ -265,13 +265,13 @@ class BandSet:
         # sum to 1.
         #
         # Raises `SchemaError`: The bands have no smile, and therefore a single node.
-        if self.wavelength_shift is None:
-            raise SchemaError(
-                "bands without smile have one node",
-                mend="use the products of this node",
-                code="smile-missing",
-            )
-        node_position = (self.wavelength_shift - self.nodes[0]) / self._node_step
+        shift = SchemaError.raise_if_none(
+            self.wavelength_shift,
+            "bands without smile have one node",
+            mend="use the products of this node",
+            code="smile-missing",
+        )
+        node_position = (shift - self.nodes[0]) / self._node_step
         first = np.clip(np.floor(node_position).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(node_position - first - 1)
 

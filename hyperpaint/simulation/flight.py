@@ -635,14 +635,6 @@ class CheckerboardFlight(Flight):
             self.line_times[:, None] / 1e9 + (self.settings.exposure_time / 2) * np.array([-1.0, 0.0, 1.0])
         )
 
-    @cached_property
-    def _to_map(self) -> Floats:
-        # matrix from steps east and north in the scene to steps on the map
-        places = np.stack(
-            self._map_coordinates(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[:2]
-        )
-        return np.asarray(places[:, 1:] - places[:, :1])
-
     def _pixel_truth(self, start: int, stop: int) -> dict[str, Floats]:
         origin, rotation = (pose[start:stop] for pose in self._cameras)
         tangents, half_pixel = self._tangents, 0.5 * PIXEL_ANGLE_RAD
@@ -655,7 +647,10 @@ class CheckerboardFlight(Flight):
         steps = np.stack([width, length, at_end - at_start, 2.0 * (at_start + at_end - 2.0 * at_middle)])[
             ..., :2
         ]
-        steps = np.moveaxis(steps @ self._to_map.T, -1, 1)
+        # steps on the map, from those east and north in the scene
+        origin_and_units = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        places = np.stack(self._map_coordinates(origin_and_units)[:2])
+        steps = np.moveaxis(steps @ (places[:, 1:] - places[:, :1]).T, -1, 1)
         share = self.board.share(np.stack([east, north]), steps, _WEIGHTS)
         return {"bright_share": share, "east": east, "north": north, "height": height}
 

@@ -277,11 +277,6 @@ def _is_start_time(value: object) -> bool:
     )
 
 
-def _is_frame_selection(value: object) -> bool:
-    numbers = list(value) if isinstance(value, list | tuple | range) else [value]
-    return all(isinstance(number, int) for number in numbers)
-
-
 @declared
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings(OpticsSettings):
@@ -528,7 +523,10 @@ class SimulationSettings(OpticsSettings):
         0,
         "frames that were never recorded: their number, with frames chosen by the seed, or the frame numbers",
         kind="own",
-        accepts=_is_frame_selection,
+        accepts=lambda value: all(
+            isinstance(number, int)
+            for number in (value if isinstance(value, list | tuple | range) else [value])
+        ),
         phrase="a number of frames or a list of frame numbers",
     )
     irradiance_interval_s: int = fact(

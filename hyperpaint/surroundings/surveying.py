@@ -943,11 +943,11 @@ def survey(
         ) from error
     fraction, zenith = line_split.fraction.values, line_split.zenith
     channel = channel_numbers(wavelength, good)
-    bits = None
-    if "quality" in line.variables:
-        bits = schema.require(line, ["quality"], "a scene model")["quality"].transpose(
-            ALONG_TRACK, CROSS_TRACK
-        )
+    bits = (
+        schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
+        if "quality" in line.variables
+        else None
+    )
     channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
     spectra = (wavelength, fraction, line_split.u.values, *line_split.mirrored())
@@ -1434,11 +1434,9 @@ def is_flagged(line: xr.Dataset) -> bool:
 
 def without_scene_flags(line: xr.Dataset) -> xr.Dataset:
     # Return a line without bits of glint, shadow, adjacency and mixed edges.
-    if "quality" not in line.variables:
-        return line
-    return line.assign(
-        quality=(line["quality"] & np.uint16(~_SURVEYED_FLAGS & 0xFFFF)).assign_attrs(line["quality"].attrs)
-    )
+    names = {"quality"} & set(line.variables)
+    kept = np.uint16(~_SURVEYED_FLAGS & 0xFFFF)
+    return line.assign({name: (line[name] & kept).assign_attrs(line[name].attrs) for name in names})
 
 
 def flag_line(

@@ -1185,7 +1185,7 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
     with np.errstate(invalid="ignore", divide="ignore"):
         # both scaled to the same length
         s, r = signature * reference_length, reference * signature_length
-        angle = 2.0 * np.arctan2(_length(s - r), _length(s + r))
+        angle = 2.0 * np.arctan2(np.linalg.norm(s - r, axis=-1), np.linalg.norm(s + r, axis=-1))
         scale = (signature * reference).sum(axis=-1, keepdims=True) / reference_length**2
         residual = signature / np.where(scale > 0.0, scale, np.nan) - reference
     has_shape = shape[-1] >= _MIN_SHAPE_BANDS
@@ -1198,10 +1198,6 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
         "scale": scale[..., 0],
         "scale_free_error": np.where(has_shape, np.sqrt((residual**2).mean(axis=-1)), np.nan),
     }
-
-
-def _length(vectors: Floats) -> Floats:
-    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
 
 
 def uncertainty_of(
@@ -1387,12 +1383,13 @@ def paired(
             is_numbered = (
                 names_of_paint is None and not requested and bool(_NUMBERED.fullmatch(signature.name))
             )
-            if is_numbered:
-                names: Sequence[str] = ()
-            elif names_of_paint is None:
-                names = (requested or signature.name,)
-            else:
-                names = names_of_paint.get(signature.name, ())
+            names = (
+                ()
+                if is_numbered
+                else (requested or signature.name,)
+                if names_of_paint is None
+                else names_of_paint.get(signature.name, ())
+            )
             matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
             if key in places and by_place:
                 # a place confirms a name, and replaces it where no name matches

@@ -819,13 +819,13 @@ def look_angles(
     # Raises `SchemaError`: No camera, a camera with another number of columns, or an undeclared order of
     # columns. Raises `UnitsError`: The angles of a table have no units.
     if isinstance(camera, PinholeCamera):
-        if convention.column_order is None:
-            raise SchemaError(
-                "the order of columns is not declared: whether column 0 looks left or right",
-                mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
-                code="column-order-missing",
-            )
-        across = camera.look_across(convention.column_order)
+        order: Any = SchemaError.raise_if_none(
+            convention.column_order,
+            "the order of columns is not declared: whether column 0 looks left or right",
+            mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
+            code="column-order-missing",
+        )
+        across = camera.look_across(order)
         along = np.zeros_like(across)
     else:
         source = line if camera is None else camera
@@ -1123,9 +1123,13 @@ def locate(
         mend="give a projected one, such as 'EPSG:32617'",
         code="crs-unusable",
     )
-    terrain = None if ground is None else float(ground)
-    if dem is not None:
-        terrain = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
+    terrain = (
+        _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
+        if dem is not None
+        else None
+        if ground is None
+        else float(ground)
+    )
     # chunks of the line, or else the chunks that radiometry will use
     planes = [array for array in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(array.dims)]
     chunked = [array for array in sorted(planes, key=lambda array: -array.ndim) if array.chunks is not None]

@@ -9,6 +9,7 @@ import math
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import getitem
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -649,7 +650,10 @@ class Tiles:
         east, north = (
             tile_array(
                 f"map-{name}",
-                {place: (_centres, self.grid, *window, part) for place, window in _tiles_of(self.windows)},
+                {
+                    place: (getitem, (MapGrid.centres, self.grid, *window), part)
+                    for place, window in _tiles_of(self.windows)
+                },
                 _chunks(self.windows),
                 np.float64,
                 [],
@@ -697,10 +701,6 @@ def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
 
 def _tiles_of(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
     return (((row, col), window) for row, part in enumerate(windows) for col, window in enumerate(part))
-
-
-def _centres(grid: MapGrid, rows: slice, cols: slice, part: int) -> Array:
-    return grid.centres(rows, cols)[part]
 
 
 # --- variables of the map, and values of empty cells ---------------------------------------------------
@@ -764,9 +764,8 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
 
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
     # Return the dtype in native byte order, with half floats as float32; None for unsupported types.
-    if dtype.kind == "f":
-        return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
-    return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
+    floats = np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
+    return floats if dtype.kind == "f" else dtype.newbyteorder("=") if dtype.kind in "biuM" else None
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
@@ -779,9 +778,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
         return np.datetime64("NaT", "ns")
     if dtype.kind == "f":
         return dtype.type(np.nan)
-    if dtype.kind == "b":
-        return np.bool_(False)
-    return dtype.type(-1) if dtype.kind == "i" else dtype.type(np.iinfo(dtype).max)
+    return dtype.type(-1 if dtype.kind == "i" else 0 if dtype.kind == "b" else np.iinfo(dtype).max)
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
@@ -798,9 +795,9 @@ def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[in
         else:
             source = source.astype("datetime64[ns]") if source.dtype.kind == "M" else source
             empty = empty_value(name, source.dtype)
+            is_flags = "flag_masks" in source.attrs or name == "quality"
             kind = "bilinear" if source.dtype.kind == "f" and name not in _WRAPPING else "nearest"
-            if "flag_masks" in source.attrs or name == "quality":
-                kind = "flags"
+            kind = "flags" if is_flags else kind
             if source.ndim == 2:
                 plane = in_slabs(source.transpose(*_PIXEL), lines)
                 reading = tiles.nearest if kind == "nearest" or not tiles.bilinear else tiles.before

@@ -87,13 +87,13 @@ class ColumnText:
     def __init__(self, wavelength: Sequence[float] | Array, title: str = "") -> None:
         micrometres = [f"{nm / 1000.0:.{WAVELENGTH_DECIMALS}f}" for nm in np.asarray(wavelength, float)]
         pairs = itertools.pairwise(micrometres)
-        if equal := next((text for text, following in pairs if float(following) <= float(text)), ""):
-            raise SchemaError(
-                f"two successive wavelengths at or below {equal} um",
-                expected="ascending wavelengths",
-                mend="keep one of them",
-                code="wavelength-unordered",
-            )
+        SchemaError.raise_if(
+            equal := next((text for text, following in pairs if float(following) <= float(text)), ""),
+            f"two successive wavelengths at or below {equal} um",
+            expected="ascending wavelengths",
+            mend="keep one of them",
+            code="wavelength-unordered",
+        )
         head = f"{title}\n" if title else ""
         rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in micrometres]
         self._template = np.frombuffer((head + "".join(rows)).encode(), np.uint8)

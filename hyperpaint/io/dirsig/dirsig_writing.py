@@ -204,15 +204,15 @@ class PaintCurves:
         below, above = bool(low < measured[0]), bool(high > measured[1])
         is_outside = low >= measured[1] or high <= measured[0]
         limit = np.inf if self.extrapolate is True else float(self.extrapolate)
-        if is_outside or max(measured[0] - low, high - measured[1]) > limit:
-            raise SchemaError(
-                f"measured {measured[0]:g} to {measured[1]:g} nm",
-                expected=f"{low:g} to {high:g} nm",
-                mend="leave the paint out, or choose a range within"
-                if is_outside
-                else "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
-                code="wavelength-uncovered",
-            )
+        SchemaError.raise_if(
+            is_outside or max(measured[0] - low, high - measured[1]) > limit,
+            f"measured {measured[0]:g} to {measured[1]:g} nm",
+            expected=f"{low:g} to {high:g} nm",
+            mend="leave the paint out, or choose a range within"
+            if is_outside
+            else "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
+            code="wavelength-uncovered",
+        )
         # usable bands within the range, and the next band beyond each end, so that the range is covered
         first = max(int(usable[0]), int(np.searchsorted(self.wavelength, low, "right")) - 1)
         last = min(int(usable[-1]), int(np.searchsorted(self.wavelength, high, "left")))

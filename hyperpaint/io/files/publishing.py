@@ -246,12 +246,12 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise unwritable(path, error) from error
 
 
-def _is_at_url(target: Path) -> bool:
-    return url_of(target) is not None and target.exists()
-
-
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
-    existing = [target for target in targets if os.path.lexists(target) or _is_at_url(target)]
+    existing = [
+        target
+        for target in targets
+        if os.path.lexists(target) or (url_of(target) is not None and target.exists())
+    ]
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
             StoreError.raise_if(

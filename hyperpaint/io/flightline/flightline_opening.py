@@ -174,10 +174,11 @@ def _texts(values: Any) -> list[str]:
     if values.dtype.kind == "M":
         stamps = np.datetime_as_string(values.astype("datetime64[ns]"), unit="ns")
         return ["" if stamp == "NaT" else f"{stamp}Z" for stamp in stamps]
-    if values.dtype.kind == "f":
-        # the shortest text that is read as the same number
-        return ["" if np.isnan(value) else str(value) for value in values]
-    return [str(int(value)) for value in values]
+    # of a float the shortest text that is read as the same number
+    is_float = values.dtype.kind == "f"
+    return [
+        "" if is_float and np.isnan(value) else str(value if is_float else int(value)) for value in values
+    ]
 
 
 # --- a table of the lines ----------------------------------------------------------------------------------

@@ -443,15 +443,15 @@ class Navigation:
         # and
         #     at NaT.
         # Raises TimeError: The record contains no UTC, or UTC runs backwards.
-        if self.utc is None:
-            raise TimeError(
-                f"{self.name} contains no UTC",
-                mend="pass gps_time, or date and clock_offset_s",
-                code="time-missing",
-            )
-        refuse_backwards(self.name, self.utc, self.rows)
-        is_new_time = np.concatenate([[True], np.diff(self.utc) > 0])
-        knots = self.utc[is_new_time]
+        utc = TimeError.raise_if_none(
+            self.utc,
+            f"{self.name} contains no UTC",
+            mend="pass gps_time, or date and clock_offset_s",
+            code="time-missing",
+        )
+        refuse_backwards(self.name, utc, self.rows)
+        is_new_time = np.concatenate([[True], np.diff(utc) > 0])
+        knots = utc[is_new_time]
         knot, weight_after, is_inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
         next_knot = np.minimum(knot + 1, len(knots) - 1)
         steps = np.diff(knots) / NS_PER_S
@@ -980,10 +980,10 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     for name in POSE:
         target_unit = unit if name in ANGLES else "m" if name == "altitude" else "degree"
         numbers = limited_numbers(table, columns[name].shown, 1e6, problems, empty="nan")
-        if target_unit == "degree" and conversion_factor(str(columns[name].unit), "radian") == 1.0:
-            values[name] = np.degrees(numbers)  # exact, unlike conversion factors, which have twelve digits
-        else:
-            values[name] = numbers * conversion_factor(str(columns[name].unit), target_unit)
+        in_radians = target_unit == "degree" and conversion_factor(str(columns[name].unit), "radian") == 1.0
+        factor = conversion_factor(str(columns[name].unit), target_unit)
+        # np.degrees is exact, unlike conversion factors, which have twelve digits
+        values[name] = np.degrees(numbers) if in_radians else numbers * factor
     stamp, has_time, clock = _time_column(table, columns["time"], clock_settings, problems)
     if not len(problems):  # else the same cells would be listed twice
         check_poses(values, unit, problems, "row", np.arange(1, stamp.size + 1))

@@ -645,9 +645,8 @@ def sniff(path: Path) -> Kind:
         return "scans"
     if form_of("\n".join(lines)) is not None:
         return "instrument"
-    if _export_at(lines) is not None:
-        return "text"
-    return "csv" if is_logger_csv(lines) else "unknown"
+    is_export = _export_at(lines) is not None
+    return "text" if is_export else "csv" if is_logger_csv(lines) else "unknown"
 
 
 def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:

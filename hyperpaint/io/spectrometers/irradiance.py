@@ -281,10 +281,11 @@ _MAX_TIME_S = 7.2e9  # [s since 1970], the year 2198
 def _stored_series(path: Any) -> xr.Dataset:
     # Return the dataset with the series: the root of the store, or a collect's group ``irradiance``.
     try:
-        if is_zarr(path):
-            data = load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
-        else:
-            data = load_netcdf(input_path(path, "an irradiance series"))
+        data = (
+            load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
+            if is_zarr(path)
+            else load_netcdf(input_path(path, "an irradiance series"))
+        )
         # an irradiance product of HYPERNETS becomes a series; other data stay unchanged
         dim = next((name for name in _HYPERNETS_DIMS if name in data.dims), None)
         if dim is None or not {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables):
@@ -619,13 +620,12 @@ def _from_files(
                 mend="open them separately",
                 code="series-mismatch",
             )
-        units = units or tables[0].units
-        if units is None:
-            raise UnitsError(
-                f"{names}: no units",
-                mend=f"pass units=, or add a line on top, for example '# units: {default_units}'",
-                code="units-missing",
-            )
+        units = UnitsError.raise_if_none(
+            units or tables[0].units,
+            f"{names}: no units",
+            mend=f"pass units=, or add a line on top, for example '# units: {default_units}'",
+            code="units-missing",
+        )
         spectra = [
             Spectrum(
                 f"{table.name}:{line}",

@@ -1586,9 +1586,11 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
             local += dt.timedelta(seconds=float(parts["fraction"]))
         offset = _ZONES.get(parts["zone"] or "")
     seconds, averages, fix = (pattern.search(head) for pattern in (_INTEGRATION, _AVERAGES, _GPS))
-    gps = None
-    if fix is not None and max(int(fix[5]), int(fix[6])) < 60 and int(fix[4]) < 24:
-        gps = (float(fix[1]), float(fix[2]), float(fix[3]), dt.time(int(fix[4]), int(fix[5]), int(fix[6])))
+    gps = (
+        (float(fix[1]), float(fix[2]), float(fix[3]), dt.time(int(fix[4]), int(fix[5]), int(fix[6])))
+        if fix is not None and max(int(fix[5]), int(fix[6])) < 60 and int(fix[4]) < 24
+        else None
+    )
     window = None
     if seconds is not None:
         window = float(seconds[2].replace(",", ".")) * _SECONDS.get((seconds[1] or "").lower(), 1e-3)

@@ -191,9 +191,8 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
         return dtype.type(np.nan)
     if dtype.kind in "mM":
         return int(np.iinfo(np.int64).min)
-    if dtype.kind in "iu":
-        return min(CHUNKING.integer_fill, int(np.iinfo(dtype).max))
-    return False if dtype.kind == "b" else None
+    integer = min(CHUNKING.integer_fill, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else None
+    return False if dtype.kind == "b" else integer
 
 
 @documented()

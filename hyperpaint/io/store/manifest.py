@@ -727,13 +727,11 @@ def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
     # Return the keys of an array's chunks, in C order, from its ``zarr.json``.
     #
     # Raises `IncompleteStoreError`: The grid is missing, or has more than `MAX_CHUNKS` chunks.
-    try:
+    with contextlib.suppress(LookupError, TypeError, ValueError, ArithmeticError):
         chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
         grid = [-(-int(size) // int(step)) for size, step in zip(document["shape"], chunk, strict=True)]
         if 0 <= math.prod(grid) <= MAX_CHUNKS:
             return ["/".join(("c", *map(str, position))) for position in product(*map(range, grid))]
-    except (LookupError, TypeError, ValueError, ArithmeticError):
-        pass
     raise IncompleteStoreError(
         f"{name}: chunk grid missing or too large",
         expected=f"at most {MAX_CHUNKS} chunks",

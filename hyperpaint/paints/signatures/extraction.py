@@ -1305,9 +1305,9 @@ def _column(values: Sequence[Any]) -> Array:
     present = [value for value in values if value is not None]
     numbers = [value for value in present if isinstance(value, int | float) and not isinstance(value, bool)]
     if present and len(numbers) == len(present) and all(abs(value) < 2**53 for value in numbers):
-        if len(present) == len(values) and all(isinstance(value, int) for value in present):
-            return np.array(values, np.int64)
-        return np.array([np.nan if value is None else value for value in values], np.float64)
+        is_integer = len(present) == len(values) and all(isinstance(value, int) for value in present)
+        filled = [np.nan if value is None else value for value in values]
+        return np.array(filled, np.int64 if is_integer else np.float64)
     texts = ["" if value is None else value for value in values]
     return np.array(
         [text if isinstance(text, str) else json.dumps(text, ensure_ascii=False) for text in texts], object

@@ -798,12 +798,13 @@ def factor_spectra(
         name = paints[key] if isinstance(paints[key], str) else key
         if not isinstance(paints[key], str):
             library[key] = paints[key]
-        if rank[key] == 0:
-            factor_numbers = [number for number, spectrum in enumerate(original) if spectrum == key]
-        elif rank[key] == 1:
-            factor_numbers = [materials.index(key)]
-        else:
-            factor_numbers = _paint_factor(record, instances.index(key), problems)
+        factor_numbers = (
+            [number for number, spectrum in enumerate(original) if spectrum == key]
+            if rank[key] == 0
+            else [materials.index(key)]
+            if rank[key] == 1
+            else _paint_factor(record, instances.index(key), problems)
+        )
         # a repainted base gets the flakes of its new paint; scales correct the flake shares in the weights
         for number in factor_numbers:
             assigned[number] = name

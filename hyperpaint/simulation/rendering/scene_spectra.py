@@ -551,10 +551,10 @@ def fleet_paint(number: int) -> FleetPaint:
         strength, floor = np.exp(rng.uniform(np.log(0.6), np.log(1.6))), np.exp(rng.uniform(-3.5, -1.2))
         pigments = Pigments(float(floor), absorbers_of(HUES[colour], float(strength), rng), film)
     else:
-        family = "white" if group == "white" else "grey"
-        if group == "black":
-            family = "ir_black" if finish == "solid" and rng.random() < 0.2 else "carbon_black"
-        base, _ = mix(family, "blue", rng)
+        black = (
+            "ir_black" if group == "black" and finish == "solid" and rng.random() < 0.2 else "carbon_black"
+        )
+        base, _ = mix({"white": "white", "black": black}.get(group, "grey"), "blue", rng)
         # greys are mixed with carbon, from light grey to anthracite; silver consists mostly of flakes
         if limits := {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}.get(group):
             base = replace(base, absorption=float(np.exp(rng.uniform(*np.log(limits)))))

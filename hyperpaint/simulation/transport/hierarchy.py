@@ -369,9 +369,7 @@ def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         return _1, _2, _0
-    if ay >= az:
-        return _2, _0, _1
-    return _0, _1, _2
+    return (_2, _0, _1) if ay >= az else (_0, _1, _2)
 
 
 @borrowing_kernel
@@ -597,9 +595,8 @@ def hit_at(
     # ``slope``: slope of the waves of the coat [rad], 0 for a flat coat.
     face_normal, normal = _normals(geometry, face, weights, direction)
     point = _interpolated(geometry.triangles, face, weights)
-    origin = point
-    if dot(face_normal, normal) < 1.0 - 1e-12:
-        origin = _on_smooth_surface(geometry, face, weights, point, normal)
+    is_smooth = dot(face_normal, normal) < 1.0 - 1e-12
+    origin = _on_smooth_surface(geometry, face, weights, point, normal) if is_smooth else point
     raised = dot(along(origin, point, -1.0), face_normal) > 0.0
     frame = frame_of(normal)
     coat_frame = frame

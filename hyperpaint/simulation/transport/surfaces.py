@@ -214,9 +214,10 @@ def _table_value(numbers: Array, material: int, first_node: int, cosine: float) 
 @borrowing_kernel
 def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
     # share of the light from a direction that enters a coat (or leaves it in this direction)
-    if index <= 1.0:
-        return 1.0
-    return 1.0 - fresnel(cosine, index) * _table_value(numbers, material, _SINGLE, cosine)
+    returned = (
+        0.0 if index <= 1.0 else fresnel(cosine, index) * _table_value(numbers, material, _SINGLE, cosine)
+    )
+    return 1.0 - returned
 
 
 @borrowing_kernel
@@ -333,9 +334,8 @@ def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vect
     # lobe that a path follows, its new direction, and the factor of its weight.
     # Directions of the coat are in the frame of the coat. Intervals of ``u`` belong to lobes and are scaled
     # to 0 to 1, so that points which fill a square evenly also fill the directions of every lobe evenly.
-    chance = 0.0
-    if lobes.refraction > 1.0:
-        chance = (1.0 - lobes.passed) / (1.0 - lobes.passed + _BASE_PREFERENCE * lobes.passed)
+    mirrored = 1.0 - lobes.passed
+    chance = mirrored / (mirrored + _BASE_PREFERENCE * lobes.passed) if lobes.refraction > 1.0 else 0.0
     if u < chance:
         kind, direction, weight = scatter_coat(lobes, u / chance, v)
         return kind, direction, weight / chance
