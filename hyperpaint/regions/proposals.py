@@ -847,6 +847,7 @@ def footprints_of(
     shape = np.array(picture.level.shape)
     longest = np.sqrt(max_size * FOOTPRINTS.slenderness[1])
     matches: dict[tuple[int, bool], tuple[Bools, Bools, Bools, Floats32]] = {}
+    areas: dict[tuple[int, bool, bytes], tuple[Bools | None, bool]] = {}
     for wide_brightness, over_windows, cut_bridges in joinings:
         pad = min(int(FOOTPRINTS.margin * max(inside.shape)), FOOTPRINTS.max_margin_px)
         for _ in range(FOOTPRINTS.rounds):
@@ -860,17 +861,22 @@ def footprints_of(
             paint, ground, dark, brightness = matches[key]
             seed = np.zeros(paint.shape, bool)
             seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
-            area, is_endless = _car_area(
-                seed, paint | seed, ground, dark if over_windows else None, cut_bridges, max_size
-            )
+            parts = _parts_of_car(seed, paint | seed, dark if over_windows else None, cut_bridges)
+            # most rules join the same parts
+            content = (*key, parts.tobytes())
+            is_new = content not in areas
+            if is_new:
+                areas[content] = _car_area(seed, parts, ground, max_size)
+            area, is_endless = areas[content]
             if area is None:
                 break
             is_endless = True
             # whether the car reaches the first line and column of the window, and the last ones
             sides = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
             if not (sides & ~np.array([low == 0, high == shape])).any():
-                place = (int(low[0]), int(low[1])), paint | seed, area, brightness
-                yield Footprint(*place, *_rectangle(area), bool(sides.any()))
+                if is_new:
+                    place = (int(low[0]), int(low[1])), paint | seed, area, brightness
+                    yield Footprint(*place, *_rectangle(area), bool(sides.any()))
                 is_endless = False
                 break
             if pad > longest:
@@ -907,24 +913,27 @@ def _matched_colour(
     return paint, ground, darker, brightness.astype(np.float32)
 
 
-def _car_area(
-    seed: Bools, paint: Bools, ground: Bools, dark: Bools | None, cut_bridges: bool, max_size: float
-) -> tuple[Bools | None, bool]:
-    # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
-    # Bay lines and mirrors are thin. Parts with ground between them and the seed are not added. With `dark`,
-    # parts with only dark pixels between them are connected. None without a core, or for more pixels than
-    # `max_size`; and whether the core around the seed alone has more.
-    square, gap = np.ones((3, 3), bool), FOOTPRINTS.max_gap_px
+def _parts_of_car(seed: Bools, paint: Bools, dark: Bools | None, cut_bridges: bool) -> Bools:
+    # Paint with closed gaps that is connected with a seed. `cut_bridges` opens what is thinner than a bridge:
+    # bay lines and mirrors are thin. With `dark`, parts with only dark pixels between them are connected.
+    gap = FOOTPRINTS.max_gap_px
     dilated = _squares(np.pad(paint, gap), gap, grow=True)
     closed = _squares(dilated, gap, grow=False)[gap:-gap, gap:-gap]
     if cut_bridges:
         eroded = _squares(closed, FOOTPRINTS.bridge_px, grow=False)
         closed = _squares(eroded, FOOTPRINTS.bridge_px, grow=True) | seed
-    parts, _ = label(closed if dark is None else closed | dark, square)
+    parts, _ = label(closed if dark is None else closed | dark, np.ones((3, 3), bool))
     is_seed_part = np.zeros(int(parts.max()) + 1, bool)
     is_seed_part[parts[seed]] = True
     is_seed_part[0] = False
-    closed &= is_seed_part[parts]
+    return np.asarray(closed & is_seed_part[parts])
+
+
+def _car_area(seed: Bools, closed: Bools, ground: Bools, max_size: float) -> tuple[Bools | None, bool]:
+    # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
+    # Parts with ground between them and the seed are not added. None without a core, or for more pixels than
+    # `max_size`; and whether the core around the seed alone has more.
+    square = np.ones((3, 3), bool)
     if not closed.any():
         return None, False
     # only the part of the window around the connected parts, with a pixel of background
