@@ -1434,9 +1434,12 @@ def is_flagged(line: xr.Dataset) -> bool:
 
 def without_scene_flags(line: xr.Dataset) -> xr.Dataset:
     # Return a line without bits of glint, shadow, adjacency and mixed edges.
-    names = {"quality"} & set(line.variables)
-    kept = np.uint16(~_SURVEYED_FLAGS & 0xFFFF)
-    return line.assign({name: (line[name] & kept).assign_attrs(line[name].attrs) for name in names})
+    return line.assign(
+        {
+            name: (line[name] & np.uint16(~_SURVEYED_FLAGS & 0xFFFF)).assign_attrs(line[name].attrs)
+            for name in {"quality"} & set(line.variables)
+        }
+    )
 
 
 def flag_line(

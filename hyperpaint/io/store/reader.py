@@ -706,7 +706,9 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
     added = sorted(arrays - set(entry.arrays)) if entry is not None else []
     if lacks_chunks and added:
         return f"lacks chunks, and contains {', '.join(added)} of other programs"
-    if lacks_chunks:
+    # behind a URL a killed run leaves arrays in their place, and no metadata of their group
+    is_begun = manifest is not None and any(group in write.contents for write in manifest.writes)
+    if lacks_chunks or (is_begun and not kinds[-1] and location.local is None):
         return "lacks chunks"
     return "with other content" if stored else "was not written by this version of hyperpaint"
 

@@ -27,7 +27,7 @@ from hyperpaint.base.errors import CollectError, FormatError, PaintError, StoreE
 from hyperpaint.base.remote_files import UrlPath, as_path, mirrored, url_of
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.io.store import INPUTS, list_groups
+from hyperpaint.io.store import INPUTS, StoreWriter, list_groups
 
 
 @pytest.fixture(scope="module")
@@ -284,3 +284,19 @@ def test_the_old_group_stays_until_the_new_one_is_complete(day: str, monkeypatch
     xr.testing.assert_equal(hp.open_store(store, "a").load(), line(2.0))
     assert hp.verify(store).ok
     assert not any(".partial-" in name for name in memory.find(day.removeprefix("memory:/")))
+
+
+def test_an_interrupted_write_is_begun_again(day: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = xr.Dataset({"light": (("along_track", "band"), np.ones((64, 2), "f4"))})
+    store = f"{day}/lot.zarr"
+    hp.to_store(line, store, "a")
+    with monkeypatch.context() as patch:  # killed between the arrays and the metadata of their group
+        patch.setattr(StoreWriter, "_note", mock.Mock(side_effect=KeyboardInterrupt))
+        expect_error(KeyboardInterrupt, None, lambda: hp.to_store(line + 1, store, "b"))
+    hp.to_store(line + 1, store, "b")
+    xr.testing.assert_equal(hp.open_store(store, "b").load(), line + 1)
+    assert hp.verify(store).ok
+    # arrays that no run of hyperpaint began are those of another program
+    fsspec.filesystem("memory").rm(f"{store}/b/zarr.json".removeprefix("memory:/"))
+    with refusal(StoreError, "store-exists", "was not written"):
+        hp.to_store(line + 1, store, "b")
