@@ -44,8 +44,8 @@ from benchmarks.fleet_scenes.verdicts import NORMAL_95, Verdict, judged  # noqa:
 # 1000 to 1011 have judged, and were looked at since; the judged ones have the table of docs/figures.md.
 SEEDS: dict[str, dict[str, Sequence[int]]] = {
     "tune": {"hyperpaint": range(900, 930), "mitsuba": range(750, 754)},
-    "judged": {"hyperpaint": range(1012, 1030), "mitsuba": range(1056, 1066)},
-    "judge": {"hyperpaint": range(1030, 1048), "mitsuba": range(1066, 1076)},
+    "judged": {"hyperpaint": range(1030, 1048), "mitsuba": range(1066, 1076)},
+    "judge": {"hyperpaint": range(1012, 1030), "mitsuba": range(1056, 1066)},
 }
 SCENES: dict[str, Any] = {"hyperpaint": rendered_cars, "mitsuba": foreign_cars}
 LOW_SUN_DEG = 60.0
