@@ -164,7 +164,7 @@ class PaintCurves:
         size = 4 * library[name].size // max(count, 1)
         step = max(1, _BLOCK_BYTES // max(size, 1))
         # blocks of complete chunks, so that every chunk is decoded once
-        stored = library[name].chunksizes or library[name].encoding.get("preferred_chunks", {})
+        stored = library[name].variable.chunksizes or library[name].encoding.get("preferred_chunks", {})
         chunk = max(1, int(np.ravel(stored.get(SIGNATURE, 1))[0]))
         step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
         for start in range(0, count, step):

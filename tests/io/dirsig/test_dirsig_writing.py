@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
@@ -610,6 +611,12 @@ def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: 
     hp.write_dirsig(library(paints=7).chunk({"signature": 3}), tmp_path / "two",
                     progress=lambda *step: steps.append(step))  # fmt: skip
     assert (steps, files(tmp_path / "one")) == ([(3, 7), (6, 7), (7, 7)], files(tmp_path / "two"))
+    # coordinates may have other blocks than spectra
+    places = ("signature", da.arange(7.0, chunks=7))
+    hp.write_dirsig(library(paints=7).assign_coords(place=places).chunk({"band": 5}), tmp_path / "three")
+    mixed = library(paints=7).chunk({"signature": 3}).assign_coords(place=places)
+    hp.write_dirsig(mixed, tmp_path / "four")
+    assert files(tmp_path / "three") == files(tmp_path / "four")
 
 
 def test_the_marker_does_not_depend_on_the_order_of_coordinates(tmp_path: Path) -> None:
