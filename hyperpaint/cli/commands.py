@@ -1088,9 +1088,9 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     path = as_path(like)
     if not path.exists():
         raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
-    is_asd = path.is_file() and sniff(path) == "binary"
-    open_file = hp.open_svc if path.suffix.lower() == ".sig" else hp.open_asd if is_asd else hp.open_library
-    return open_file(path)
+    is_svc = path.suffix.lower() == ".sig"
+    is_asd = not is_svc and path.is_file() and sniff(path) == "binary"
+    return (hp.open_svc if is_svc else hp.open_asd if is_asd else hp.open_library)(path)
 
 
 @command(

@@ -945,14 +945,15 @@ LOST_WAIT = 300.0
 
 def _cancel_all(reason: str, own: Client | None = None) -> None:
     # Cancel the writes that run, and all that a client of our own waits for
-    running = [list(futures_by_key.values()) for futures_by_key in list((_running.get() or {}).values())]
+    for futures_by_key in list((_running.get() or {}).values()):
+        with contextlib.suppress(Exception):  # the scheduler may be lost
+            futures = list(futures_by_key.values())
+            futures[0].client.cancel(futures, force=True, reason=reason)
     if own is not None:
         from distributed import Future
 
-        running.append([Future(key, own) for key in list(own.futures)])
-    for futures in filter(None, running):
-        with contextlib.suppress(Exception):  # the scheduler may be lost
-            futures[0].client.cancel(futures, force=True, reason=reason)
+        with contextlib.suppress(Exception):
+            own.cancel([Future(key, own) for key in list(own.futures)], force=True, reason=reason)
 
 
 @contextlib.contextmanager
