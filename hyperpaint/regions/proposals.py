@@ -428,15 +428,21 @@ class Picture:
     @cached_property
     def level(self) -> Array:
         # Mean reflectance over the channels (line, column) [1].
-        level = np.empty(self.channels.shape[:2], np.float32)
+        level = scratch_array(self.channels.shape[:2], np.float32)
         for lines, block in line_blocks(self.channels):
             level[lines] = block.mean(axis=2)
+            release(level)
         return level
 
     @cached_property
     def ground(self) -> Floats:
         # Reflectance of the ground, the largest body (channel,) [1].
         return np.asarray(np.nan_to_num(self.model.reference[largest_body(self.model)]))
+
+    def release(self) -> None:
+        # Release the memory of its mapped arrays.
+        for array in (self.channels, self.level, *self.layers.values()):
+            release(array)
 
     def without_sky(self, window: tuple[slice, slice]) -> Array:
         # Return the reflectance in a window of the picture, less the mirrored sky, float32 [1].
@@ -818,16 +824,6 @@ class Footprint(NamedTuple):
         # Window of the masks in the picture.
         return window_of(self.origin, self.area)
 
-    def only_area(self) -> "Footprint":
-        # Return the footprint with the mask of its area alone, for thousands of pieces that are no cars.
-        lines, columns = find_objects(self.area.view(np.int8))[0]
-        area = self.area[lines, columns].copy()
-        origin = self.origin[0] + lines.start, self.origin[1] + columns.start
-        centre = self.centre - [lines.start, columns.start]
-        return self._replace(
-            origin=origin, paint=area, area=area, brightness=np.empty(0, np.float32), centre=centre
-        )
-
 
 def footprints_of(
     inside: Bools,
@@ -875,8 +871,15 @@ def footprints_of(
             sides = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
             if not (sides & ~np.array([low == 0, high == shape])).any():
                 if is_new:
-                    place = (int(low[0]), int(low[1])), paint | seed, area, brightness
-                    yield Footprint(*place, *_rectangle(area), bool(sides.any()))
+                    axis, centre, length, width = _rectangle(area)
+                    # thousands are kept: only the car, and what profiles across its roof touch beside it
+                    window = padded(find_objects(area.view(np.int8))[0], max(int(0.25 * width), 8))
+                    first = np.array([side.start for side in window])
+                    line, column = (low + first).tolist()
+                    yield Footprint(
+                        (line, column), (paint | seed)[window].copy(), area[window].copy(),
+                        brightness[window].copy(), axis, centre - first, length, width, bool(sides.any()),
+                    )  # fmt: skip
                 is_endless = False
                 break
             if pad > longest:
@@ -1836,7 +1839,7 @@ class CarPark:
             if progress is not None:
                 progress(lines * done // len(queue), lines)
             if done % _PIECES == 0:
-                release(self._picture.channels)
+                self._picture.release()
                 trim_memory()
             piece = best.pieces[0]
             if self.assign(piece):
@@ -1867,7 +1870,9 @@ class CarPark:
                 queue.append(cars[done - 1])
             else:
                 if best.footprint is not None and not best.is_car:
-                    best = best._replace(footprint=best.footprint.only_area())
+                    area = best.footprint.area
+                    only_area = best.footprint._replace(paint=area, brightness=np.empty(0, np.float32))
+                    best = best._replace(footprint=only_area)
                 uncertain.append(best)
         return uncertain
 
@@ -2381,10 +2386,10 @@ def propose_regions(
         objection = "its red edge is that of leaves"
         measures = measured(piece, picture, limits)
         judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
-        release(picture.channels)
+        picture.release()
     for car in cars:
         judged += judge_car(car, picture, limits)
-        release(picture.channels)
+        picture.release()
     # Accepted pieces by score, and refused pieces with their objections
     accepted = [verdict for verdict in judged if not verdict.objections]
     accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
@@ -2482,6 +2487,7 @@ def _add_flags(picture: Picture, pieces: list[Piece], cars: list[Car]) -> None:
         flags = flag_channels(block.copy(), model, lines.start, dict.fromkeys(FLAG_LIMITS, np.inf))
         for name, layer in layers.items():
             layer[lines] = flags[name]
+            release(layer)
     picture.layers.update(layers)
 
 
