@@ -894,15 +894,25 @@ def _matched_colour(
     colour: Floats, picture: Picture, window: tuple[slice, slice], wide_brightness: bool
 ) -> tuple[Bools, Bools, Bools, Floats32]:
     # Pixels (line, column) of paint, of ground, and darker than paint; brightness relative to the paint
-    spectra = picture.without_sky(window)
-    length = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", spectra, spectra)), np.float32(1e-9))
     colour_length, ground_length = float(np.linalg.norm(colour)), float(np.linalg.norm(picture.ground))
-    brightness = (spectra @ (colour / colour_length**2).astype(np.float32)).astype(np.float64)
+    units = [
+        (colour / colour_length**2).astype(np.float32),
+        (picture.ground / ground_length).astype(np.float32),
+    ]
+    # by blocks of lines: the colour of a wall or of leaves extends over thousands
+    seen, sky = picture.channels[window], picture.sky[0][slice(None) if picture.view is None else window[1]]
+    sums = np.empty((3, *seen.shape[:2]), np.float32)
+    for lines, block in line_blocks(seen):
+        spectra = block - sky
+        sums[0, lines] = np.einsum("ijk,ijk->ij", spectra, spectra)
+        sums[1:, lines] = [spectra @ unit for unit in units]
+    length = np.maximum(np.sqrt(sums[0]), np.float32(1e-9))
+    brightness = sums[1].astype(np.float64)
     paint_cosine = brightness * colour_length / length
     is_dark = float(colour.mean()) < SURFACES.dark
     low, high = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide_brightness]
     # pixels as bright as the ground are paint only if their spectrum is closer to the paint's
-    ground_cosine = (spectra @ (picture.ground / ground_length).astype(np.float32)) / length
+    ground_cosine = sums[2] / length
     is_ground_bright = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
     is_closer = (paint_cosine > ground_cosine) | ~is_ground_bright
     paint = (paint_cosine > FOOTPRINTS.min_cosine) & (brightness > low) & (brightness < high) & is_closer
@@ -1739,7 +1749,7 @@ def judge_finish(
 
 # --- cars and their parts ----------------------------------------------------------------------------------
 
-#: Number of pieces after which the pages of a mapped line are released.
+#: Number of pieces after which memory is returned to the system.
 _PIECES = 8
 #: Rank of a roof between windows, or behind a windscreen, on a footprint of one car.
 _CERTAIN = 5
@@ -1839,7 +1849,6 @@ class CarPark:
             if progress is not None:
                 progress(lines * done // len(queue), lines)
             if done % _PIECES == 0:
-                self._picture.release()
                 trim_memory()
             piece = best.pieces[0]
             if self.assign(piece):
