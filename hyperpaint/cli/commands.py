@@ -280,7 +280,7 @@ Examples:
         "metavar": "STORE.zarr",
         "type": PLACE,
         "required": False,
-        "help": "The store.  [default: products/lot.zarr beside COLLECT.toml, as run makes it]",
+        "help": "The store.  [default: products/lot.zarr beside COLLECT.toml; run's store has --flags]",
     },
     to={"help": "Radiance needs no irradiance."},
     reflectance={

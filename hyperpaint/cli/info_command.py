@@ -432,11 +432,12 @@ def _collect(path: Path) -> Facts:
     lines = {str(entry.name): tree[f"flightlines/{entry.name}"].to_dataset() for entry in collect.flightlines}
     total = sum(line["counts" if "counts" in line else "radiance"].nbytes for line in lines.values())
     yield "is", f"collect {collect.name!r}, {lines_text}; every file opens"
-    yield from ((name, _facts_text(facts_of_line(line))) for name, line in lines.items())
+    yield from ((f"/flightlines/{name}", _facts_text(facts_of_line(line))) for name, line in lines.items())
     if has_irradiance:
         yield "irradiance", _facts_text(facts_of_irradiance(tree["irradiance"].to_dataset()))
-    for reference in collect.references:
-        yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
+    references = [f"{each.instrument}: {counted(len(each.files), 'file')}" for each in collect.references]
+    if references:
+        yield "references", "\n".join(references)
     product, options = (
         ("reflectance", "")
         if has_irradiance or collect.white is not None

@@ -261,11 +261,12 @@ class Validation:
     def problems(self) -> tuple[str, ...]:
         """Pairs outside of the tolerance or impossible to judge, and missing references, one text each."""
         failures = []
-        paints = self._texts("signature")
+        paints, references, instruments = map(self._texts, ("signature", "reference", "instrument"))
         for row, within in enumerate(self.statistics["passes"].values):
             texts = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
             if texts:
-                failures.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(texts)}")
+                pair = f"{paints[row]} against {references[row]} of {instruments[row]}"
+                failures.append(f"{pair}: {', '.join(texts)}")
         return (*failures, *(f"{name}: its reference is missing" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
@@ -1940,7 +1941,9 @@ def validate(
         )
         problems.raise_if_any()
     problems.extend(
-        Problem(f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong")
+        Problem(
+            f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm], in order", code="type-wrong"
+        )
         for name, edges in parts.items()
         if len(tuple(edges)) != 2 or not edges[0] < edges[1]
     )

@@ -14,6 +14,7 @@ import json
 import math
 import operator
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -486,6 +487,16 @@ def run_field_day(
         )
     settings = read_collect(path)
     folder = store_of(path).parent if out is None else as_path(out)
+    # every line has a map of its name, and a picture
+    names = [str(entry.name) for entry in settings.flightlines]
+    makers = Counter(f"{name}{end}".lower() for name in (*names, "mosaic") for end in ("", "_colour"))
+    doubles = [name for name, count in makers.items() if count > 1]
+    CollectError.raise_if(
+        doubles and "map" not in skip,
+        f"two products of the flight lines {', '.join(names)} would be {doubles[0] if doubles else ''}.tif",
+        mend="change the id of a line in the collect: none can be 'mosaic', or that of another and '_colour'",
+        code="name-duplicate",
+    )
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
     # check this before hours of processing
@@ -495,7 +506,8 @@ def run_field_day(
         mend="check the path",
         code="file-not-found",
     )
-    folder.mkdir(parents=True, exist_ok=True)
+    with StoreError.instead_of(OSError, f"{folder} cannot be written: $error", code="file-unwritable"):
+        folder.mkdir(parents=True, exist_ok=True)
     day = FieldDayRun(
         settings=settings,
         out=folder,
@@ -565,9 +577,11 @@ class FieldDayRun:
 
     @functools.cached_property
     def located_lines(self) -> tuple[str, ...]:
-        # Names of the flight lines with navigation, from which maps are made.
+        # Names of the flight lines with navigation, from which maps are made: two scan lines or more.
         lines = ((name, open_store(self.store, f"{LINES}{name}")) for name in lines_of_store(self.store))
-        return tuple(name for name, line in lines if "latitude" in line.variables)
+        return tuple(
+            name for name, line in lines if "latitude" in line.variables and line.sizes[ALONG_TRACK] > 1
+        )
 
     @property
     def is_visible(self) -> bool:
@@ -677,7 +691,8 @@ def _map(day: FieldDayRun) -> str:
         path = day.out / f"{line}.tif"
         write_map(orthomap, path, colours=colours_of(path), overwrite=True)
         texts.append(f"{path}: {describe_swath(orthomap.attrs)}")
-    return "\n".join(texts)
+    others = [line for line in lines_of_store(day.store) if line not in lines]
+    return "\n".join([*texts, *(f"left out {line}: no navigation, or a single scan line" for line in others)])
 
 
 def _mosaic(day: FieldDayRun) -> str:

@@ -238,7 +238,7 @@ def kept_groups(
             problems.add(
                 f"/{name} exists, {state}",
                 mend="pass overwrite=True to replace it",
-                option="pass --overwrite to replace it",
+                option="pass --overwrite to replace it, or the options it was written with (run has --flags)",
                 code="store-exists",
             )
     problems.raise_if_any()

@@ -66,7 +66,7 @@ def test_statistics_are_those_of_plain_numpy() -> None:
     }  # fmt: skip
     for name, wanted in expected.items():
         assert value_of(found, name, "red") == pytest.approx(wanted, rel=1e-3), name
-    assert (found.passed, found.problems) == (False, (("hood against hood: red",)))
+    assert (found.passed, found.problems) == (False, (("hood against hood of ASD: red",)))
 
 
 def test_identical_libraries_agree_wholly() -> None:
@@ -747,7 +747,7 @@ def test_a_part_that_is_asked_for_needs_bands() -> None:
     found = hp.validate(signatures, references, parts={"red": (600.0, 700.0), "SWIR": (1500.0, 1700.0)})
     assert found.statistics["passes"].values.tolist() == [[True, False]]
     assert (found.statistics["judged"].values.tolist(), found.passed) == ([[True, False]], False)
-    assert found.problems == ("hood against hood: SWIR (0 of 0 bands, too few to judge)",)
+    assert found.problems == ("hood against hood of ASD: SWIR (0 of 0 bands, too few to judge)",)
     assert "0 of 1 pair within tolerance" in found.verdict
 
 
@@ -999,7 +999,7 @@ def test_a_metallic_is_judged_at_the_geometry_of_its_reference_only() -> None:
     assert not unstated.passed
     assert "holds for one geometry only, and the reference states none" in unstated.problems[0]
     judged = hp.validate(seen_at(46.0), reference.assign_attrs(measurement_geometry="45/0"))
-    assert judged.problems == ("hood against hood: VIS, NIR, all",)
+    assert judged.problems == ("hood against hood of ASD: VIS, NIR, all",)
     # the sun of the reading: 20 degrees from the zenith, and a solid paint is judged under any sun
     noon = np.datetime64("2021-06-21T17:12", "ns")
     field_day = reference.assign_coords(

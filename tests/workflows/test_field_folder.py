@@ -254,6 +254,43 @@ def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
     assert [table["id"] for table in tables] == ["flight_raw_0", "flight_raw_20", "second_flight"]
 
 
+@pytest.mark.parametrize("name", ["mosaic", "RAW_0_colour"])
+def test_lines_whose_maps_would_replace_another_product_are_refused(simulated: Path, name: str) -> None:
+    text = (simulated / "collect.toml").read_text(encoding="utf-8")
+    path = simulated / f"{name}.toml"
+    path.write_text(text.replace('id = "raw_20"', f'id = "{name}"'), encoding="utf-8")
+    expect_error(CollectError, "name-duplicate", lambda: run_field_day(path))
+    path.unlink()
+
+
+def test_a_single_scan_line_is_left_out_of_the_maps(simulated: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "day"
+    shutil.copytree(simulated, copied)
+    flight = copied / "flight"
+    header, index = flight / "raw_20.hdr", flight / "frameIndex_20.txt"
+    header.write_text(header.read_text().replace("lines = 20", "lines = 1"))
+    (flight / "raw_20").write_bytes((flight / "raw_20").read_bytes()[: 12 * 10 * 2])
+    index.write_text("".join(index.read_text().splitlines(keepends=True)[:2]))
+    ran = run_field_day(copied, skip=[step for step in STEPS if step not in ("process", "map", "mosaic")])
+    states = {outcome.step: (outcome.state, outcome.text) for outcome in ran.outcomes}
+    assert states["map"][0] == "done"
+    assert "left out raw_20" in states["map"][1]
+    assert (ran.out / "raw_0.tif").exists()
+    # both lists of references, and lines by their groups
+    facts = json.loads(hyperpaint("info", "--json", copied / "collect.toml", status=0).output)
+    assert (
+        str(facts).count("asd: ") == str(facts).count("svc: ") == str(facts).count("/flightlines/raw_20") == 1
+    )
+
+
+def test_a_renamed_frame_index_is_found(folder: Path) -> None:
+    for suffix in ("", ".hdr"):
+        (folder / f"flight/raw_0{suffix}").rename(folder / f"flight/raw_a{suffix}")
+    (folder / "flight/frameIndex_0.txt").rename(folder / "flight/frameIndex_a.txt")
+    indices = {cube.header.stem: cube.frame_index for cube in find_field_files(folder).cubes}
+    assert indices == {name: folder / f"flight/frameIndex_{name[4:]}.txt" for name in ("raw_a", "raw_20")}
+
+
 # --- `run_field_day`: two commands from a folder to products; what is there already is left alone ---
 
 

@@ -1051,7 +1051,9 @@ def locate(
             problems.add_if(
                 dim not in line.dims,
                 f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
-                mend=f"isel({dim}=[5]) keeps it, dims= names it",
+                mend="it is a map, which is straightened already"
+                if {"y", "x"} <= set(line.dims)
+                else f"isel({dim}=[5]) keeps it, dims= names it",
                 code="dim-missing",
             )
         for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):

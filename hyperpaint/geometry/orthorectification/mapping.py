@@ -1042,6 +1042,7 @@ def orthorectify(
         f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
         expected=f"at most {_TILING.max_tiles}",
         mend="give a larger gsd, bounds, or a larger tile",
+        option="give a larger --gsd",
         code="map-too-large",
     )
     windows = tile_windows(cells.shape, tile)
@@ -1087,7 +1088,8 @@ def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array]
     if min(coordinates["east"].shape) < 2:
         count, columns = coordinates["east"].shape
         raise SchemaError(
-            f"{count} lines of {columns} columns are too few for a map",
+            f"{line.attrs.get('name', 'the line')}: scan lines and columns are {count} x {columns}, too few "
+            "for a map",
             expected="two or more of each",
             code="line-too-short",
         )

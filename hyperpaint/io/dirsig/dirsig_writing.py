@@ -211,6 +211,7 @@ class PaintCurves:
             mend="leave the paint out, or choose a range within"
             if is_outside
             else "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
+            option="leave the paint out, or give another --range, or --extrapolate",
             code="wavelength-uncovered",
         )
         # usable bands within the range, and the next band beyond each end, so that the range is covered

@@ -723,7 +723,7 @@ class TableReader:
             return True
         self.problems.add(
             f"{place} {key} = {shown(name)}",
-            expected=f"letters, digits, {blanks}'.', '_' and '-'",
+            expected=f"letters, digits, {blanks}'.', '_' and '-'; not zarr.json or c, names of Zarr's own",
             mend="choose a name that can name a group of the store",
             code="name-invalid",
         )

@@ -358,6 +358,11 @@ def cube_number(cube: Path) -> int | None:
 
 def frame_index_beside(cube: Path) -> Path | None:
     # Return the last frame index in the folder of a cube that begins at or before its first frame.
+    # renamed files: raw_a has frameIndex_a.txt
+    own = f"frameindex_{cube.name.split('.')[0].partition('_')[2]}.txt".lower()
+    for path in cube.parent.iterdir():
+        if path.name.lower() == own:
+            return path
     matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
     files = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
     first_frame = cube_number(cube)

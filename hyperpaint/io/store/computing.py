@@ -451,8 +451,9 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
     if free is not None and missing > free:
         raise StoreError(
             f"cannot write {store}: {size_text(missing)} of disk are needed, {size_text(free)} are free",
-            mend="free disk space, choose another disk, or do not store reflectance (reflectance='none'), "
-            "which can be computed from counts",
+            mend="free disk space or choose another disk; flight lines need a third with reflectance='none'",
+            option="free disk space or choose another disk; flight lines need a third if process gets "
+            "--reflectance none",
             code="disk-short",
         )
 
