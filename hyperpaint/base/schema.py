@@ -6,6 +6,7 @@ arithmetic.
 """
 
 import functools
+import hashlib
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
@@ -814,6 +815,21 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
     )
 
 
+def label_digest(line: xr.Dataset, dims: tuple[str, ...] = _PIXEL) -> str:
+    # Return a digest of the labels of lines and columns, which tells crops and other orders of a line apart.
+    #
+    # Empty where one of the dims has no index coordinate.
+    numbers = [numbers_of(line, dim).tobytes() for dim in dims if dim in line.indexes]
+    return hashlib.sha256(b"".join(numbers)).hexdigest()[:16] if len(numbers) == len(dims) else ""
+
+
+def has_labels_of(product: Any, line: xr.Dataset, dims: tuple[str, ...] = _PIXEL) -> bool:
+    # Return whether the attribute ``labels`` of a product of a line may be the digest of this line.
+    #
+    # True without labels on both sides, as for products of older versions.
+    return len({label_digest(line, dims), str(product.attrs.get("labels", ""))} - {""}) < 2
+
+
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
     converted = {}
     for name in (str(name) for name in dataset.coords if name in VARIABLES):
@@ -921,6 +937,17 @@ def has_own_means(line: xr.Dataset) -> bool:
     )
     identities = {name: _identity(line[name].variable) for name in names if name in line.variables}
     return all(identities.get(name) is not None and identities[name] == stamp.get(name) for name in names)
+
+
+def has_own_overview(line: xr.Dataset) -> bool:
+    # Return whether ``overview`` shows the lines and columns of this line in their order, and its cube.
+    overview = line["overview"]
+    # overviews of older versions have no digest: labels must at least increase
+    indexes = [line.indexes[dim] for dim in _PIXEL if dim in line.indexes]
+    is_whole = has_labels_of(overview, line) and all(index.is_monotonic_increasing for index in indexes)
+    # variables that are read from a file have an encoding; computed ones have none
+    cube = line.get("reflectance", line.get("counts", overview))
+    return is_whole and (not overview.encoding or bool(cube.encoding))
 
 
 def _identity(variable: xr.Variable) -> str | None:

@@ -35,6 +35,8 @@ from hyperpaint.base import (
     flag_names,
     flag_shares,
     flags_named,
+    has_own_overview,
+    label_digest,
     numbers_of,
     one_of,
     rename_to_roles,
@@ -686,8 +688,9 @@ def visible_bands(wavelength: Array) -> Array:
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
     # Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
-    # None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
-    # ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
+    # None without an overview; for a crop of a line, or a line in another order; where the cube has been
+    # changed since; or if the overview has fewer lines than requested. With ``step`` None all lines are
+    # returned. ``at_most``: the step is rounded up instead of down.
     row = VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
@@ -698,7 +701,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
     sizes = [dataset.sizes.get(dim, 0) for dim in (ALONG_TRACK, CROSS_TRACK)]
     shape = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
     has_shape = min(steps) > 0 and not any(a != b for a, b in zip(shape, overview.shape, strict=False))
-    if not has_shape or (step is not None and steps[0] > step):
+    if not has_shape or not has_own_overview(dataset) or (step is not None and steps[0] > step):
         return None
     stride = 1 if step is None else -(-step // steps[0]) if at_most else step // steps[0]
     values = overview[::stride].astype(np.float32) / np.float32(255.0)
@@ -770,7 +773,8 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     row = VARIABLES["overview"]
     pixels = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
     pixels = pixels.drop_vars(list(pixels.coords)).rename(dict(zip(pixels.dims, row.dims, strict=True)))
-    pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]]}
+    digest = label_digest(dataset)
+    pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]], "labels": digest}
     return pixels.rename("overview")
 
 

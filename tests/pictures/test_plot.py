@@ -14,7 +14,7 @@ from support.strategies import flight
 
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import Quality, label_digest
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.cli.program import main
 from hyperpaint.light.daylight_colours import colour_matching
@@ -205,6 +205,20 @@ def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> N
     assert (more.attrs["level"], more.sizes["along_track"]) == ("cube, every 2. line and 1. column", 30)
     assert "level" not in rgb(line).attrs
     assert rgb(line.isel(along_track=slice(0, 30)), lines=10).attrs["level"].startswith("cube")
+    # the picture is computed for other pixels, another order, and another cube than those of the overview
+    fixed = line.assign_coords(cross_track=np.arange(line.sizes["cross_track"]))
+    fixed["overview"].attrs["labels"] = label_digest(fixed)
+    stored = fixed.compute()
+    for name in ("overview", "reflectance"):
+        stored[name].encoding["chunks"] = stored[name].shape
+    assert rgb(stored, lines=20).attrs["level"].startswith("overview")
+    for other in (
+        line.isel(along_track=slice(None, None, -1)),
+        fixed.roll(cross_track=2, roll_coords=True),
+        fixed.isel(along_track=slice(1, None)),
+        stored.assign(reflectance=stored.reflectance * 0.5),
+    ):
+        assert rgb(other, lines=20).attrs["level"].startswith("cube")
     # without a cube it is all there is
     alone = line.drop_vars(["counts", "reflectance"])
     np.testing.assert_array_equal(rgb(alone).values, small.values)

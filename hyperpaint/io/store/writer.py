@@ -53,6 +53,7 @@ from hyperpaint.base import (
     documented,
     forget,
     has_own_means,
+    has_own_overview,
     head_of,
     one_of,
     takes_quantities,
@@ -1071,6 +1072,8 @@ def _plan(
     for name, node in nodes.items():
         if "coarse_reflectance" in node.variables and not has_own_means(node):
             node = node.drop_vars("coarse_reflectance")  # computed from earlier reflectance
+        if "overview" in node.variables and not has_own_overview(node):
+            node = node.drop_vars("overview")
         # drop the digest of inputs that a derived dataset got from another group
         if INPUTS in node.attrs and (source_token is None or node.attrs[INPUTS] != source_token):
             node = node.copy(deep=False)
