@@ -136,7 +136,7 @@ class SceneModel:
     spectrum, reference : (segment_number, channel)
         Median of a segment's pixels, and of its body without glint and shadow [1].
     attrs
-        Settings of the survey.
+        Settings of the survey, and a digest of the labels of lines and columns.
 
     Examples
     --------

@@ -1057,6 +1057,7 @@ def survey(
             "sky_states": " ".join(line_split.states),
             "reach": reach,
             "sun_zenith": zenith,
+            "labels": schema.label_digest(line),
         },
     )
 
@@ -1305,7 +1306,7 @@ def flag(
 
 
 def model_of(line: xr.Dataset, model: SceneModel | xr.Dataset) -> SceneModel:
-    # Return the scene model of a line; raise for that of a line with other pixels or bands.
+    # Return the scene model of a line; raise for the model of a line with other pixels or bands.
     cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     with Problems("the scene model belongs to another line", SchemaError) as problems:
@@ -1314,6 +1315,13 @@ def model_of(line: xr.Dataset, model: SceneModel | xr.Dataset) -> SceneModel:
             scene.segment.shape != (lines, columns),
             f"the model has {scene.segment.shape} pixels",
             expected=f"({lines}, {columns}) as the line",
+            code="grid-mismatch",
+        )
+        # lines without labels, and models of older versions, are compared by their size only
+        problems.add_if(
+            not schema.has_labels_of(scene, line),
+            "the labels of lines or columns (along_track, cross_track) differ from those of the model",
+            mend="survey the line that is flagged, or crop and sort the line before its survey",
             code="grid-mismatch",
         )
         # a lazy coordinate is not computed: only its size is compared

@@ -1,5 +1,6 @@
 """Flags on scenes built from geometry, never from the division that flags make."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from support.analytic_scenes import (
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import Quality, label_digest
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.simulation import simulate_line
@@ -180,6 +181,14 @@ def test_thresholds_are_the_users_and_models_of_the_line(line: xr.Dataset, model
     assert found[0] > found[1] > found[2] == 0
     with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands-diff"):
         hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
+    labelled = line.assign_coords(along_track=np.arange(160), cross_track=np.arange(96))
+    own = dataclasses.replace(model, attrs={**model.attrs, "labels": label_digest(labelled)})
+    for same, surveyed in ((labelled, own), (labelled, model), (line, own)):
+        hp.surroundings.flag(same, surveyed)
+    reverse, other_columns = {"along_track": slice(None, None, -1)}, {"cross_track": np.arange(9, 105)}
+    for other in (labelled.isel(reverse), labelled.assign_coords(other_columns)):
+        with pytest.raises(SchemaError, match=r"grid-mismatch"):
+            hp.surroundings.flag(other, own)
     with pytest.raises(SchemaError, match="option-conflict"):
         hp.surroundings.flag(line, model, reach=5)
     with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
