@@ -44,7 +44,9 @@ from hyperpaint.base import (
     Progress,
     SchemaError,
     documented,
+    has_labels_of,
     label,
+    label_digest,
     one_of,
     rename_to_roles,
     require,
@@ -986,6 +988,7 @@ def align_to_irradiance(
         degree=degree,
         lines=len(level),
         srf_shape=declared.imager.shape,
+        labels=label_digest(dataset, (CROSS_TRACK,)),
     )
 
 
@@ -1948,6 +1951,7 @@ def apply_alignment(
         if (
             windows.sizes[BAND] != dataset.sizes[BAND]
             or not -0.5 < float(windows["column"].max()) <= columns - 1
+            or not has_labels_of(alignment, dataset, (CROSS_TRACK,))
         ):
             problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
         problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")

@@ -535,7 +535,7 @@ def detect(
     detector = _lazy_detector(
         line,
         cube,
-        unflagged if background is None else unflagged & _background_mask(background, unflagged),
+        unflagged if background is None else unflagged & _background_mask(background, unflagged, line),
         bands,
         paints,
         other_paints,
@@ -650,7 +650,7 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
     )
 
 
-def _background_mask(background: Any, unflagged: Any) -> Any:
+def _background_mask(background: Any, unflagged: Any, line: xr.Dataset) -> Any:
     # The argument `background` as a mask with the chunks of `unflagged`
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
@@ -660,6 +660,7 @@ def _background_mask(background: Any, unflagged: Any) -> Any:
             expected="lines and columns",
             code="dims-wrong",
         )
+        schema.refuse_other_labels(mask, line, "background=")
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
     SchemaError.raise_if(

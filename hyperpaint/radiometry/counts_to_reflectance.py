@@ -38,6 +38,7 @@ from hyperpaint.base import (
     dtype_of,
     flags_set_from,
     label,
+    refuse_other_labels,
     rename_to_roles,
     require,
     takes_quantities,
@@ -463,6 +464,8 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
     # Read one white reference, and subtract the dark of its exposure.
     sizes = (line.sizes[BAND], line.sizes[CROSS_TRACK])
     source = _with_counts(source) if isinstance(source, xr.Dataset) else source
+    if isinstance(source, xr.Dataset):
+        refuse_other_labels(source, line, "the white reference", (CROSS_TRACK,))
     reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
     check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")
     exposure = SchemaError.raise_if_none(

@@ -352,13 +352,18 @@ def test_one_wild_column_does_not_bend_the_others() -> None:
 
 
 def test_applying_what_does_not_belong_is_refused() -> None:
-    line = line_of(grey(5))
+    line = line_of(grey(5)).assign_coords(cross_track=np.arange(5))
     found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     expect_refusals(
         (
             SchemaError,
             "grid-mismatch",
             lambda: hp.alignment.apply_alignment(line.isel(cross_track=slice(3)), found),
+        ),
+        (
+            SchemaError,
+            "grid-mismatch",
+            lambda: hp.alignment.apply_alignment(line.isel(cross_track=slice(None, None, -1)), found),
         ),
         (
             SchemaError,

@@ -343,6 +343,9 @@ def test_what_cannot_be_is_said_at_once() -> None:
     wrong["pitch"].attrs["units"] = "radian"
     lost = line.copy(deep=True)
     lost["roll"][:] = np.nan
+    columns = np.arange(5)
+    table = xr.Dataset({"look_across": ("cross_track", columns / 2.0, {"units": "degree"})})
+    table = table.assign_coords(cross_track=columns + 5)
     four = hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
     record = recorded(line).isel(navigation_time=[0, 2, 1, 3])
     numbers: dict[str, Any] = {"boresight": (1, 2), "lever_arm": (np.nan, 0, 0), "clock_offset_s": np.inf}
@@ -352,6 +355,12 @@ def test_what_cannot_be_is_said_at_once() -> None:
         (bare, level_ground, SchemaError, ("convention-missing",)),
         (bare, {**level_ground, "convention": Convention()}, SchemaError, ("column-order-missing",)),
         (line, {**level_ground, "camera": four}, SchemaError, ("length-mismatch",) * 2),
+        (
+            line.assign_coords(cross_track=columns),
+            {"ground": 0.0, "camera": table},
+            SchemaError,
+            ("grid-mismatch",),
+        ),
         (line, {"ground": 0.0}, SchemaError, ("camera-missing",)),
         (wrong, level_ground, SchemaError, ("variable-missing", "units-conflict")),
         (line, {**level_ground, "crs": "EPSG:nothing"}, SchemaError, ("crs-unknown",)),

@@ -288,6 +288,10 @@ def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
         assert option in str(raised.value)
     far = red.assign_coords(wavelength=red["wavelength"] + 2000.0)
     flat = line.assign(reflectance=line["reflectance"].isel(band=[0]).isel(band=[0] * 30))
+    columns = xr.DataArray(np.arange(40), dims="cross_track")
+    mask = xr.DataArray(
+        np.ones((96, 40), bool), {"cross_track": columns[::-1]}, ("along_track", "cross_track")
+    )
     calls: dict[str, tuple[xr.Dataset, xr.Dataset, dict[str, Any]]] = {
         "bands-not-shared": (line, far, {}),
         "other-paints-missing": (line, red, {"others": red}),
@@ -297,6 +301,7 @@ def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
         "false-alarm-rate-too-low": (line, red, {"false_alarm_rate": 1e-5}),
         "covariance-singular": (flat, red, {"false_alarm_rate": 1e-2}),
         "grid-mismatch": (line, red, {"background": np.ones((95, 40), bool)}),
+        "labels 'cross_track'": (line.assign_coords(cross_track=columns), red, {"background": mask}),
         "dims-wrong": (line, red, {"background": xr.DataArray(np.ones((96, 40), bool), dims=("paint", "b"))}),
     }
     for code, (searched, library, options) in calls.items():

@@ -143,6 +143,9 @@ def test_a_white_reference_that_would_mislead_is_refused():
     half = white.copy(deep=True)
     half.counts[20:] = scene.counts[20:]
     shifted = white.assign_coords(wavelength=(white.wavelength + 30.0).assign_attrs(units="nm"))
+    columns = np.arange(COLUMNS)
+    numbered = scene.assign_coords(cross_track=columns)
+    flipped, dark_flipped = (each.assign_coords(cross_track=columns[::-1]) for each in (white, dark))
     fading = [cube(TILE, start_s=at, drift=-0.001).drop_vars("time") for at in (0.0, 90.0)]
     expect_refusals(
         (SchemaError, "tile-missing", refused(tile=None)),
@@ -151,6 +154,8 @@ def test_a_white_reference_that_would_mislead_is_refused():
         (SchemaError, "white-without-light", refused(white=dark)),
         (SchemaError, "white-unsteady", "of 40 lines", refused(white=half)),
         (SchemaError, "grid-mismatch", "5 bands x 6", refused(white=white.isel(cross_track=slice(6)))),
+        (SchemaError, "grid-mismatch", "white reference", refused(of=numbered, white=flipped)),
+        (SchemaError, "grid-mismatch", "dark=", refused(of=numbered, dark=dark_flipped)),
         (SchemaError, "white-wavelength-differs", "30 nm", refused(white=shifted)),
         (SchemaError, "exposure-missing", refused(white=white.drop_vars("exposure_time"))),
         (SchemaError, "dark-exposure-differs", refused(white=cube(TILE, ms=6.0))),

@@ -51,6 +51,7 @@ from hyperpaint.base import (
     needs_extra,
     one_of,
     require,
+    schema,
     takes_quantities,
     warn_user,
     wrapped,
@@ -838,6 +839,7 @@ def look_angles(
             ),
             code="camera-missing",
         )
+        schema.refuse_other_labels(source, line, "camera=", (CROSS_TRACK,))
         across = convert(source[name], "degree").data.astype(np.float64)
         along = (
             convert(source["look_along"], "degree").data.astype(np.float64)

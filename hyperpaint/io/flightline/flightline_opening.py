@@ -51,6 +51,7 @@ from hyperpaint.base import (
     input_path,
     label,
     one_of,
+    refuse_other_labels,
     rename_to_roles,
     require,
     takes_quantities,
@@ -501,9 +502,12 @@ def open_dark(
         return Dark(zeros, (None,), None, DARK_NONE)
     if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
         return None if calibration is None else _from_dark_counts(calibration, shape, "the calibration")
+    sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
+    for dataset in sources:
+        if isinstance(dataset, xr.Dataset) and cube is not None:
+            refuse_other_labels(rename_to_roles(dataset), cube, "dark=", (CROSS_TRACK,))
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _from_dark_counts(source, shape, "a Dataset")
-    sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
     references = [read_reference(reference, timing, shape) for reference in sources]
     # Stack references along time where all times are known, else average them
     long = [ref.frames for ref in references if ref.frames.lines >= MIN_NOISE_LINES]
