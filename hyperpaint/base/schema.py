@@ -5,6 +5,7 @@ and label their outputs through `label`, which *replaces* attributes, since xarr
 arithmetic.
 """
 
+import contextlib
 import functools
 import hashlib
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -50,6 +51,8 @@ ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
 CUBE = (ALONG_TRACK, BAND, CROSS_TRACK)
 
 IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH = "irradiance_time", "irradiance_wavelength"
+#: Type of times in the table, which names the unit of the ticks.
+TIME = "datetime64[ns]"
 #: Dim of a lab sweep: one wavelength of the monochromator after the other.
 STEP = "step"
 
@@ -133,6 +136,14 @@ class Variable:
     def unit_problem(self, array: xr.DataArray) -> Problem | None:
         # Return the fault of an array's units; None for convertible units, and for a row without units.
         units = array.attrs.get("units")
+        if self.dtype == TIME and array.dtype.kind in "iufm":
+            return Problem(
+                f"{self.name!r} is {array.dtype}",
+                expected=f"{TIME} in UTC",
+                mend="set the units of the numbers, such as 'seconds since 2021-09-27', and decode them by "
+                "xr.decode_cf(dataset)",
+                code="type-wrong",
+            )
         if self.units and units is None:
             return Problem(
                 f"{self.name!r} has no units",
@@ -559,6 +570,13 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     # or arrays are of cubed or cupy.
     # arrays of other packages look like numpy's or dask's; none of the packages is imported here
     for array_name, variable in dataset.variables.items():
+        row = VARIABLES.get(str(array_name))
+        # times of a file opened with decode_times=False
+        if row and row.dtype == TIME and " since " in str(variable.attrs.get("units")):
+            with contextlib.suppress(ValueError):  # units that are not a time; `require` refuses numbers
+                dataset = dataset.assign(
+                    {array_name: xr.conventions.decode_cf_variable(array_name, variable)}
+                )
         data = variable._data
         for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
             package = type(array).__module__.partition(".")[0]
@@ -726,7 +744,7 @@ def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VAR
         if (
             variable is None
             or variable.dtype.kind not in "fO"
-            or row.dtype in ("str", "datetime64[ns]")
+            or row.dtype in ("str", TIME)
             or np.dtype(row.dtype).kind not in "iub"
             or name == "counts"
             or variable.dims == (name,)

@@ -111,6 +111,20 @@ def test_require_lists_every_problem() -> None:
     assert message.count("\n") == 4
 
 
+def test_times_are_decoded_or_refused() -> None:
+    units = {"units": "seconds since 2021-09-27"}
+    line = xr.Dataset(coords={"time": ("along_track", [1.5, np.nan], units)})
+    expected = np.array(["2021-09-27T00:00:01.5", "NaT"], "datetime64[ns]")
+    for encoded in (line, line.chunk()):
+        decoded = require(rename_to_roles(encoded), ["time"], "a test")["time"]
+        np.testing.assert_array_equal(decoded.values, expected)
+    indexed = xr.Dataset(coords={"irradiance_time": ("irradiance_time", [1.5, 2.5], units)})
+    assert rename_to_roles(indexed).indexes["irradiance_time"][0] == expected[0]
+    for wrong in ([1.5, 2.5], np.array([1, 2], "m8[ns]")):
+        numbers = xr.Dataset(coords={"time": ("along_track", wrong)})
+        expect_error(SchemaError, "type-wrong", lambda d=numbers: require(d, ["time"], "a test"))
+
+
 @pytest.mark.parametrize(
     "names",
     [
