@@ -959,7 +959,25 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
             regions, *coordinates, shape, (line[_SOURCE_LINE], [names[name] for name in lines])
         )
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
-    return [_on_axes(region, columns, rows) for region in regions]
+    found = [_on_axes(region, columns, rows) for region in regions]
+    # lines that occur twice, as after xr.concat of overlapping crops, would count twice
+    for axis, (dim, numbers) in enumerate({ALONG_TRACK: rows, CROSS_TRACK: columns}.items()):
+        unique, counts = np.unique(numbers, return_counts=True)
+        repeated = unique[counts > 1]
+        doubled = [
+            region.name
+            for region, pixel in zip(regions, found, strict=True)
+            if np.isin(numbers[pixel[axis]], repeated).any()
+        ]
+        problems.add_if(
+            doubled,
+            f"{repeated.size} labels of {dim!r} occur more than once, in regions {', '.join(doubled[:5])}",
+            expected="every line and column once",
+            mend=f"drop_duplicates({dim!r}), or number the lines of several flights anew by assign_coords",
+            code="label-duplicate",
+        )
+    problems.raise_if_any()
+    return found
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:

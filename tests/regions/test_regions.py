@@ -315,6 +315,10 @@ def test_regions_of_a_line_outline_the_same_on_its_crop() -> None:
     whole = line.number.values[pixels_of(regions, line)[0]]
     crop = line.isel(along_track=slice(5, 15), cross_track=slice(2, 10))
     np.testing.assert_array_equal(crop.number.values[pixels_of(regions, crop)[0]], whole)
+    twice = xr.concat([line, line.isel(along_track=slice(7, 9))], "along_track")
+    expect_refusals((SchemaError, "label-duplicate", lambda: pixels_of(regions, twice)))
+    elsewhere = xr.concat([line, line.isel(along_track=slice(1, 3))], "along_track")
+    np.testing.assert_array_equal(elsewhere.number.values[pixels_of(regions, elsewhere)[0]], whole)
     # what lies off the crop is left out, and thinned lines keep those of theirs that lie inside
     half = line.isel(along_track=slice(9, None))
     inside = half.number.values[pixels_of(regions, half)[0]]

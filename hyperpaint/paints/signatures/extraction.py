@@ -687,9 +687,9 @@ def extract_signatures(
     FormatError
         The regions cannot be read.
     SchemaError, UnitsError
-        Options, lines or regions cannot be used: a region has no pixels, or too few usable ones (see
-        ``drop_small``); flight lines have different bands; the mirrored sky was removed before, or the
-        position of the sun is unknown. All faults of a kind are listed.
+        Options, lines or regions cannot be used: a region has no pixels, too few usable ones (see
+        ``drop_small``) or lines that occur twice; flight lines have different bands; the mirrored sky was
+        removed before, or the position of the sun is unknown. All faults of a kind are listed.
 
     Warns
     -----
