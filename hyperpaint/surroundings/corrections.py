@@ -347,7 +347,8 @@ def _sun_azimuth_of(line: xr.Dataset, sun_zenith: float | None) -> float | None:
 def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
     # Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
     #
-    # The right-hand column is to the right of the flight.
+    # The last column is to the right of the flight, and the last line ahead, unless ``look_across`` or else
+    # the labels decrease: the camera's columns run to the left, or the picture has been reversed.
     if heading is None and "heading" in line.variables:
         heading = _mean_angle(line["heading"].values)
     if sun_azimuth is None:
@@ -355,7 +356,10 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
     if heading is None or sun_azimuth is None:
         return None
     away = np.radians(sun_azimuth + 180.0 - heading)
-    return np.array([np.cos(away), np.sin(away)])
+    across = "look_across" if "look_across" in line.variables else CROSS_TRACK
+    axes = (np.asarray(line.get(name, np.zeros(1))) for name in (ALONG_TRACK, across))
+    signs = [-1.0 if axis[0] > axis[-1] else 1.0 for axis in axes]
+    return np.array([np.cos(away), np.sin(away)]) * signs
 
 
 def _mean_angle(degrees: Any) -> float | None:

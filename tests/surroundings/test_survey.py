@@ -203,6 +203,11 @@ def test_a_measured_split_must_fit() -> None:
     np.testing.assert_allclose(shadow_side_of(nothing, 180.0, 0.0), [1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(shadow_side_of(nothing, 90.0, 0.0), [0.0, -1.0], atol=1e-12)
     assert shadow_side_of(nothing, None, 0.0) is None
+    # of a picture with the lines or columns in reverse
+    reverse = xr.Dataset(coords={"along_track": [2, 1], "cross_track": [0, 1]})
+    leftward = reverse.assign(look_across=("cross_track", [3.0, -3.0]))
+    np.testing.assert_allclose(shadow_side_of(reverse, 180.0, 0.0), [-1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shadow_side_of(leftward, 90.0, 0.0), [0.0, 1.0], atol=1e-12)
 
 
 def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
