@@ -692,7 +692,8 @@ def reflectance(
     Warns
     -----
     PaintWarning
-        The line has a scale by panels that was derived with another record than ``irradiance``.
+        The line has a scale by panels that was derived with another record than ``irradiance``. When
+        computed: no line is within the record.
 
     Notes
     -----

@@ -444,6 +444,14 @@ def _illuminate(
         cube.get("longitude"),
         None if clock is None else float(clock),
     )
+    known = time[~np.isnat(time)]
+    warn_if(
+        known.size and ((known < stamps[0]) | (known > stamps[-1])).all(),
+        f"0 of {known.size} lines are within the irradiance record, which runs from {stamps[0]!s:.19} to "
+        f"{stamps[-1]!s:.19}; the line runs from {known.min()!s:.19} to {known.max()!s:.19}, and its "
+        "reflectance is NaN. State utc_offset_h= of the record, or the offset of the camera's clock",
+        "time-uncovered",
+    )
     # select the samples around the lines from the record of a day
     used_samples, index = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
     before, after = index.reshape(2, -1)
