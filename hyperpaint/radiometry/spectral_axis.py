@@ -196,7 +196,7 @@ def lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
     first = np.empty((bands, columns), np.int64)
     weights = np.zeros((bands, columns, 4))
-    for part in _ordered_parts(wavelength):
+    for part in ordered_parts(wavelength):
         # descending wavelengths increase with the other sign; the weights do not depend on it
         sign = -1.0 if wavelength[part][0] > wavelength[part][-1] else 1.0
         part_axis, nominal = sign * axis[part], sign * wavelength[part]
@@ -224,7 +224,7 @@ def lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
 
 
-def _ordered_parts(wavelength: Array) -> list[slice]:
+def ordered_parts(wavelength: Array) -> list[slice]:
     # Return the parts of an axis between joins, overlaps and gaps; raises SchemaError for bands in no order.
     steps = np.diff(wavelength)
     reversals = int(min((steps <= 0).sum(), (steps >= 0).sum()))
@@ -355,7 +355,7 @@ def _filter(
 ) -> Array:
     from hyperpaint.kernels.radiometry import average_slab, filter_slab
 
-    parts = _ordered_parts(wavelength)
+    parts = ordered_parts(wavelength)
     spectra = values.astype(np.float32, copy=False)
     # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:

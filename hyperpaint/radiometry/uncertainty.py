@@ -63,7 +63,7 @@ from hyperpaint.light.illumination import (
 
 from . import slabs
 from .darks import dark_weights
-from .spectral_axis import NominalAxis
+from .spectral_axis import NominalAxis, ordered_parts
 from .stray_light import (
     ACROSS,
     SHIFT_TIME,
@@ -308,6 +308,8 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
         points = _VariancePoints(variance, signal, np.ones_like(signal), np.full((1, 1), freedom))
         source = "repeated frames"
     else:
+        if "wavelength" in dataset.variables:
+            ordered_parts(dataset["wavelength"].values)
         # Variances (block x column, band) of bands relative to their neighbours.
         # `cube` is (block, line, band, column). Bands whose signal is uncertain by noise are left out.
         mean = block_cube.mean(axis=1)

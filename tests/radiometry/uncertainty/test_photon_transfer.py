@@ -131,6 +131,7 @@ def test_repeated_lines_of_one_scene() -> None:
 
 def test_signals_of_one_level_are_refused() -> None:
     line = line_of(np.rint(100.0 + 300.0 + 4.0 * np.random.default_rng(0).normal(size=(32, 12, 20))))
+    shuffled = line.assign_coords(wavelength=("band", [1, 9, 2, 8, 3, 7, 4, 6, 5, 11, 0, 12]))
     for repeated in (False, True):
         with refusal(SchemaError, "electrons-uncertain", "signals of ", " to "):
             estimate_noise(line, repeated=repeated)
@@ -138,6 +139,7 @@ def test_signals_of_one_level_are_refused() -> None:
         (SchemaError, "lines-too-few", lambda: estimate_noise(line.isel(along_track=slice(0, 5)))),
         (SchemaError, "bands-too-few", lambda: estimate_noise(line.isel(band=slice(0, 2)))),
         (SchemaError, "dark_counts", lambda: estimate_noise(line.drop_vars("dark_counts"))),
+        (SchemaError, "wavelength-unordered", lambda: estimate_noise(shuffled)),
     )
 
 
