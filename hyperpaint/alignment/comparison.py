@@ -1013,8 +1013,9 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
         **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
         "flag": flag,
     }
-    dims = ("window", CROSS_TRACK)
-    report = xr.Dataset({name: (dims, values, _attrs_of(name)) for name, values in columns.items()})
+    report = xr.Dataset(
+        {name: (("window", CROSS_TRACK), values, _attrs_of(name)) for name, values in columns.items()}
+    )
     report["pixels"] = (CROSS_TRACK, pixels, _attrs_of("pixels"))
     return report.assign_coords(
         column=(CROSS_TRACK, column, {"long_name": "Column, or mean column of a group", "units": "1"}),

@@ -219,8 +219,11 @@ def spectrum(
         if not is_library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
         _draw_paints(axes, dataset, paint_colours(dataset), paints, spread)
-    bottom = min(0.0, axes.get_ylim()[0])
-    axes.set(xlabel="wavelength [nm]", ylabel=quantity_label(shown[name]), ylim=(bottom, None))
+    axes.set(
+        xlabel="wavelength [nm]",
+        ylabel=quantity_label(shown[name]),
+        ylim=(min(0.0, axes.get_ylim()[0]), None),
+    )
     legend_below(axes)
     return save_figure(axes.figure, path)
 
@@ -773,8 +776,12 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     row = VARIABLES["overview"]
     pixels = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
     pixels = pixels.drop_vars(list(pixels.coords)).rename(dict(zip(pixels.dims, row.dims, strict=True)))
-    digest = label_digest(dataset)
-    pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]], "labels": digest}
+    pixels.attrs = {
+        **row.attrs,
+        "line_step": steps[dims[0]],
+        "column_step": steps[dims[1]],
+        "labels": label_digest(dataset),
+    }
     return pixels.rename("overview")
 
 
@@ -925,8 +932,12 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
     styles = [{"color": ink_of(axes, strength)} for strength in (0.12, 0.3, 0.9)]
     draw_quantiles(axes, dataset["wavelength"].values, values, styles)
-    label = quantity_label(dataset[name])
-    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=label, ylim=(0, None))
+    axes.set(
+        title=f"{name} of all pixels",
+        xlabel="wavelength [nm]",
+        ylabel=quantity_label(dataset[name]),
+        ylim=(0, None),
+    )
     legend_below(axes)
 
 
@@ -1135,8 +1146,9 @@ _NARROW_INCH = 5.0  # width of a picture below which its legend is below it
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
     # Combine every ``step`` lines into one by the ufunc ``combine``
-    starts = np.arange(0, len(values), step)
-    return values if step == 1 else np.asarray(combine.reduceat(values, starts, axis=0))
+    return (
+        values if step == 1 else np.asarray(combine.reduceat(values, np.arange(0, len(values), step), axis=0))
+    )
 
 
 # --- scenes above the spectra of their cars ----------------------------------------------------------------
@@ -1225,8 +1237,11 @@ def scenes_and_spectra(
             label = label_for(region.name) if style == "-" else None
             mean = _mean(_spectra_at(line[quantity], along, across), axis=0)
             below.plot(line["wavelength"].values, mean, style, color=colour, label=label)
-        units = line[quantity].attrs.get("units", "")
-        below.set(xlabel="wavelength [nm]", ylabel=f"{quantity} [{units}]", ylim=(0.0, None))
+        below.set(
+            xlabel="wavelength [nm]",
+            ylabel=f"{quantity} [{line[quantity].attrs.get('units', '')}]",
+            ylim=(0.0, None),
+        )
         if together:
             below.plot([], [], _STYLES[number], color=ink_of(below), label=label_for(name))
         legend_below(below)
@@ -1923,9 +1938,13 @@ def _draw_smile(axes: Any, values: Values) -> None:
     _draw_map(axes, values["wavelength"], shift, "wavelength shift [nm]", cmap="viridis")
     if min(shift.shape) > 1 and np.ptp(shift) > 0:
         levels = np.linspace(shift.min(), shift.max(), 6)[1:-1]
-        columns = np.arange(shift.shape[1])
         curves = axes.contour(
-            values["wavelength"], columns, shift.T, levels=levels, colors="white", linewidths=0.8
+            values["wavelength"],
+            np.arange(shift.shape[1]),
+            shift.T,
+            levels=levels,
+            colors="white",
+            linewidths=0.8,
         )
         axes.clabel(curves, fmt="%.2g", fontsize="small")
     axes.set_title("smile")
@@ -2001,8 +2020,11 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
-    top = 2.0 * axes.get_ylim()[1]
-    axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]", ylim=(None, top))
+    axes.set(
+        title="standard uncertainty of the gain",
+        ylabel="relative to the gain [%]",
+        ylim=(None, 2.0 * axes.get_ylim()[1]),
+    )
     legend_below(axes)
 
 
@@ -2362,8 +2384,11 @@ def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
     draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
     count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
     draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
-    bottom = min(0.0, axes.get_ylim()[0])
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(bottom, None))
+    axes.set(
+        xlabel="wavelength [nm]",
+        ylabel="reflectance factor [1]",
+        ylim=(min(0.0, axes.get_ylim()[0]), None),
+    )
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize="small")
     legend_below(axes)

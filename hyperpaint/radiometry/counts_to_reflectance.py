@@ -231,8 +231,10 @@ def white_reference(
         "relative to the tile",
         code="tile-missing",
     )
-    names = {*line.variables, *line.attrs}
-    corrections = {"linear_counts", "masked", "linearity", *OF_ELEMENTS, *STRAY_SOURCES} & names
+    corrections = {"linear_counts", "masked", "linearity", *OF_ELEMENTS, *STRAY_SOURCES} & {
+        *line.variables,
+        *line.attrs,
+    }
     SchemaError.raise_if(
         corrections,
         f"a white reference and {', '.join(sorted(corrections))} of a calibration",
@@ -463,8 +465,8 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
 def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: float | None) -> _White:
     # Read one white reference, and subtract the dark of its exposure.
     sizes = (line.sizes[BAND], line.sizes[CROSS_TRACK])
-    source = _with_counts(source) if isinstance(source, xr.Dataset) else source
     if isinstance(source, xr.Dataset):
+        source = _with_counts(source)
         refuse_other_labels(source, line, "the white reference", (CROSS_TRACK,))
     reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
     check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")

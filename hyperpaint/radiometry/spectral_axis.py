@@ -171,8 +171,9 @@ def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
     #
     # Raises `SchemaError`: ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
     arrays = require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
-    shift = np.atleast_2d(arrays["wavelength_shift"].values)
-    return NominalAxis(*lagrange_weights(arrays["wavelength"].values, shift))
+    return NominalAxis(
+        *lagrange_weights(arrays["wavelength"].values, np.atleast_2d(arrays["wavelength_shift"].values))
+    )
 
 
 def _without_bands(dataset: xr.Dataset) -> list[str]:

@@ -856,8 +856,9 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     neighbours = line_light(
         line["time"].values, arrays[IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
-    weight = np.nan_to_num(neighbours.weight)
-    return LightErrors(neighbours.before, neighbours.after, weight, *matched_noise(arrays))
+    return LightErrors(
+        neighbours.before, neighbours.after, np.nan_to_num(neighbours.weight), *matched_noise(arrays)
+    )
 
 
 def rounding_variance(variance: Array) -> Floats:

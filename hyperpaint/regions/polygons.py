@@ -294,9 +294,9 @@ class Regions(Sequence[Region]):
         outlines = "".join(
             _drawn(region, self.coordinates) for region in self.regions[: LIMITS.max_drawn_regions]
         )
-        title = f"{len(self)} regions ({system}){limit_note}"
         return (
-            f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
+            '<div style="font:13px/1.45 system-ui,sans-serif">'
+            f"<strong>{len(self)} regions ({html.escape(system)}){limit_note}</strong>"
             f'<div style="display:flex;flex-wrap:wrap;gap:2px 14px">{outlines}</div></div>'
         )
 

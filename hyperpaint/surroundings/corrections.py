@@ -965,8 +965,9 @@ def correct_coat(
             angle = min(float(view), 85.0) if np.isfinite(view) else 0.0
             rows.append(_shares(split, incidence, angle, (*coat, lean_u)))
             if needs_u:
-                lean = _lean_of(paint, lean_u)
-                removed_u.append(mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=lean)[1])
+                removed_u.append(
+                    mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=_lean_of(paint, lean_u))[1]
+                )
         shares: Any = [_by_paint(column) for column in zip(*rows, strict=True)]
         if needs_u:
             line = line.assign(reflectance_u_coat=_by_paint(removed_u).astype(np.float32))

@@ -211,8 +211,7 @@ class SceneModel:
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
             if stored not in dataset.variables and name in _DEFAULTS:
-                shape = tuple(dataset.sizes.get(dim, 0) for dim in dims)
-                fields[name] = np.full(shape, _DEFAULTS[name], dtype)
+                fields[name] = np.full([dataset.sizes.get(dim, 0) for dim in dims], _DEFAULTS[name], dtype)
             elif stored not in dataset.variables:
                 problems.add(
                     f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})", code="variable-missing"

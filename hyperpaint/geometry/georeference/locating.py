@@ -363,8 +363,9 @@ def canonical_navigation(
     convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
-    dims = columns["roll"].dims
-    canonical = navigation.assign({n: _labelled(v, n, dims) for n, v in zip(POSE, values, strict=True)})
+    canonical = navigation.assign(
+        {n: _labelled(v, n, columns["roll"].dims) for n, v in zip(POSE, values, strict=True)}
+    )
     canonical.attrs = with_convention(navigation.attrs, convention.of_canonical)
     return canonical
 
@@ -1673,8 +1674,7 @@ class BoresightSolution:
     @property
     def sd(self) -> dict[str, float]:
         # Standard uncertainty of the parameters solved for, in their units.
-        variance = np.diag(self.covariance.values)
-        return {name: float(np.sqrt(v)) for name, v in zip(self.solved, variance, strict=True)}
+        return dict(zip(self.solved, np.sqrt(np.diag(self.covariance.values)).tolist(), strict=True))
 
     def value(self, name: str) -> float:
         # Return one parameter: roll, pitch, heading [degree], height [m] or clock [s].

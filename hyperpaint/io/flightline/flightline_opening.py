@@ -622,9 +622,8 @@ def read_reference(
         counts = counts.transpose(*CUBE)
         check_shape(counts.shape[1:], shape, f"{role} {name}", role)
     frames = sum_dark(counts, f"{role} {name}")
-    sources = exposure_sources(path, opened)
     stated: Iterator[float | None] = (
-        exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in sources
+        exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in exposure_sources(path, opened)
     )
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
         stated = iter([float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])])

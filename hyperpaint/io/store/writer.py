@@ -1111,8 +1111,15 @@ def token_of(dataset: xr.Dataset, source_token: str | None) -> str:
             content = variable.values if variable.size == 1 else uuid.uuid4().hex
         form = (str(name), variable.dims, variable.shape, str(variable.dtype), content_attrs(variable.attrs))
         variables.append((*form, content))
-    coords = sorted(map(str, dataset.coords))
-    return str(tokenize(FORMAT_VERSION, source_token, variables, coords, content_attrs(dataset.attrs)))
+    return str(
+        tokenize(
+            FORMAT_VERSION,
+            source_token,
+            variables,
+            sorted(map(str, dataset.coords)),
+            content_attrs(dataset.attrs),
+        )
+    )
 
 
 def pending_groups(

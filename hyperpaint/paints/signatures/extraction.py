@@ -849,8 +849,7 @@ def extract_signatures(
                 code="region-too-small",
             )
         problems.raise_if_any()
-    excludable = flags | UNSTEADY if exclude is None else flags
-    searched = _searched_flags(sources, drafts, names, excludable)
+    searched = _searched_flags(sources, drafts, names, flags | UNSTEADY if exclude is None else flags)
     if exclude is None and (unsteady := [k for k in large_enough if drafts[k].values["quality"] & UNSTEADY]):
         warn_user(
             "all pixels are of lines with unsteady light (illumination_unstable, timing_sensitive), and are "
