@@ -520,13 +520,12 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
 
             return open_emissivity(path)
         # formats of hyperpaint
-        for is_form, read_own in (
-            (head.startswith("PAR1"), read_parquet_library),
-            (suffix not in _ENVI_SUFFIXES and is_csv_library(head), read_csv_library),
-        ):
-            if is_form:
-                options.refuse_for(path)
-                return read_own(path)
+        is_csv = suffix not in _ENVI_SUFFIXES and is_csv_library(head, path)
+        is_plain_csv = is_csv and not metadata_path(path).exists()
+        if is_csv or head.startswith("PAR1"):
+            (options._replace(scale=None) if is_plain_csv else options).refuse_for(path)
+            if not is_plain_csv:
+                return (read_csv_library if is_csv else read_parquet_library)(path)
         # formats of other programs, and ENVI of hyperpaint
         is_envi = suffix in _ENVI_SUFFIXES or (
             suffix not in SPECTRUM_SUFFIXES and path.with_suffix(".hdr").is_file()
@@ -534,7 +533,9 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         problem = None if is_envi else foreign_format(path)
         if problem is not None:
             raise FormatError(f"{path.name}: {problem.found}", mend=problem.mend, code=problem.code)
-        if is_envi:
+        if is_plain_csv:
+            library = read_csv_library(path, scale=scale, is_reflectance=is_reflectance)
+        elif is_envi:
             library = read_envi_library(path, scale=scale, wavelength=nm, fwhm=fwhm)
         elif USGS_RECORD.match(head.partition("\n")[0]):
             library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))

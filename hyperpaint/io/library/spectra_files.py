@@ -95,7 +95,7 @@ from hyperpaint.io.files.reading import (
     text_of_cell,
     unique_names,
 )
-from hyperpaint.io.spectrometers.spectrum_texts import SPREAD, STATISTIC
+from hyperpaint.io.spectrometers.spectrum_texts import SPREAD, STATISTIC, heading_cells
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.
@@ -1608,13 +1608,16 @@ _MAX_BANDS = 100_000
 _MAX_BYTES = 2**32
 
 
-def is_csv_library(head: str) -> bool:
+def is_csv_library(head: str, path: Path) -> bool:
     # Return whether a text begins as a paint library: names, then wavelengths, in its first row.
+    # A table with another mark than commas, as spreadsheets save it, needs the metadata or the key columns.
     row, end, _ = head.partition("\n")
-    cells = row.strip("\r").split(",")
-    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell
-    heading = next(filter(None, cells[:2]), "")  # the second cell after an index of pandas
-    return heading in _NAMES and nm is not None and nm >= MIN_NM
+    mark, cells = heading_cells(row.rstrip("\r;\t,") if end else row)
+    # the head may cut off the last cell
+    nm = number(cells[-1 if end else -2].replace(",", ".")) if len(cells) > 2 else None
+    first = bool(cells[0] == "")  # an index of pandas
+    is_saved = mark == "," or cells[first + 1 : first + 3] == _KEY_COLUMNS or metadata_path(path).exists()
+    return cells[first : first + 1] in ([n] for n in _NAMES) and nm is not None and nm >= MIN_NM and is_saved
 
 
 # --- CSV ---------------------------------------------------------------------------------------------------
@@ -1655,10 +1658,12 @@ def _line(cells: list[str]) -> str:
     return buffer.getvalue()[:-1]
 
 
-def read_csv_library(path: Path) -> xr.Dataset:
-    # Read a library that `write_csv_library` wrote.
-    # Raises FormatError: The table or its metadata are damaged, or belong to different libraries. Warns
-    # PaintWarning: The metadata are missing.
+def read_csv_library(path: Path, *, scale: float | None = None, is_reflectance: bool = False) -> xr.Dataset:
+    # Read a library that `write_csv_library` wrote, or a spreadsheet saved again.
+    # scale, is_reflectance: As in `reflectances`, for a table without metadata, which any program may have
+    # written.
+    # Raises FormatError: The table or its metadata are damaged, or belong to different libraries; or a table
+    # without metadata has no reflectance. Warns PaintWarning: The metadata are missing.
     source = path.name
     problems = Problems(f"{source} cannot be read", FormatError)
     # the first row: headings, then wavelengths
@@ -1666,6 +1671,9 @@ def read_csv_library(path: Path) -> xr.Dataset:
     first_row = next(cells, [])
     if first_row[:1] == [""]:
         first_row, cells = first_row[1:], _without_index(cells, source)
+    while first_row and not first_row[-1]:  # empty columns of a spreadsheet
+        first_row.pop()
+    first_row = [cell.replace(",", ".") for cell in first_row]
     head_size = len(first_row)
     while head_size and number(first_row[head_size - 1]) is not None:
         head_size -= 1
@@ -1692,6 +1700,8 @@ def read_csv_library(path: Path) -> xr.Dataset:
     last: dict[tuple[str, str], tuple[int, int]] = {}
     for number_of_row, row in enumerate(cells, 2):
         row[:head_size] = map(text_of_cell, row[:head_size])
+        if not any(row[len(first_row) :]):
+            del row[len(first_row) :]
         values = _values(row[head_size:], len(nm))
         name, variable, place = row[:3] if has_keys and len(row) > 2 else (row[0], CENTRE, "")
         place = place.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
@@ -1727,7 +1737,13 @@ def read_csv_library(path: Path) -> xr.Dataset:
     FormatError.raise_if(
         not names, f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
     )
-    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
+    spectra = np.array(rows, np.float32)
+    if not metadata_path(path).exists():
+        checked = [at for at, key in enumerate(keys) if CENTRE in key[0]]
+        spectra[checked] = reflectances(
+            spectra[checked], source, file_scale=None, scale=scale, is_reflectance=is_reflectance
+        )
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, spectra)], columns)
 
 
 def _csv_rows(path: Path) -> Iterator[list[str]]:
@@ -1741,7 +1757,10 @@ def _csv_rows(path: Path) -> Iterator[list[str]]:
             open_input(path, "a paint library", _MAX_BYTES), encoding="utf-8-sig", newline=""
         ) as file,
     ):
-        yield from filter(None, csv.reader(file, strict=True))
+        heading = next(file, "")
+        mark = heading_cells(heading)[0]
+        # rows of empty cells are what a spreadsheet leaves below a table
+        yield from filter(any, csv.reader(itertools.chain([heading], file), delimiter=mark, strict=True))
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
@@ -1761,6 +1780,8 @@ def _values(cells: list[str], bands: int) -> Floats32 | None:
     # Numbers of a row; None where a cell is not a number or the count is wrong
     row_numbers = None
     text = "".join(cells)
+    if "," in text:  # decimal commas
+        cells = [cell.replace(",", ".") for cell in cells]
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
         with contextlib.suppress(ValueError):  # such as an empty cell
             row_numbers = list(map(float, cells))  # several times faster than `numbers`

@@ -778,6 +778,18 @@ def envi(values: Any, *header: str) -> Callable[[Path], Any]:
     return opened
 
 
+def each(*spectra: Any, head: str = "name", cells: str = "{}", **options: Any) -> Callable[[Path], Any]:
+    # Return what writes a table of one row a spectrum and opens it; `cells`: format of the names.
+
+    def opened(folder: Path) -> Any:
+        rows = [[cells.format(at + 1), *map(str, values)] for at, values in enumerate(spectra)]
+        path = folder / "paints.csv"
+        path.write_text("\n".join(map(",".join, [[head, *map(str, NM)], *rows])) + "\n", encoding="utf-8")
+        return hp.open_library(path, **options)
+
+    return opened
+
+
 def aster(values: Any, y: str, x: str = "Wavelength (micrometers)") -> Callable[[Path], Any]:
     # Return what writes a text of the ECOSTRESS library and opens it.
 
@@ -851,6 +863,9 @@ WRONG_LIBRARIES = [
     Case("a library of light, no word", envi(LIGHT / 9), "oxygen band"),
     Case("a library in percent, no word", envi(100 * GREY), "scale"),
     Case("a library whose scale is wrong", envi(1e4 * GREY, "reflectance scale factor = 100"), "scale="),
+    Case("our headings, percent", each(100 * GREY, head="signature"), "scale=100"),
+    Case("our headings, negative percent", each(-100 * GREY, head="signature"), "far below 0"),
+    Case("our headings, light", each(LIGHT / 9, head="signature"), "oxygen band"),
     Case("ECOSTRESS text of radiance", aster(LIGHT / 9, "Radiance (W m-2 sr-1 nm-1)"), "Radiance"),
     Case("ECOSTRESS text of fractions", aster(0.9 * GREY, "Reflectance (percent)"), "scale="),
 ]  # fmt: skip

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +223,35 @@ def test_without_metadata__spectra_and_members_still_lead_back(
         assert found[variable].dims == library[variable].dims
     assert found["signature"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
     assert ("make" in found.coords) == name.endswith("csv")
+
+
+@pytest.mark.parametrize(
+    ("separator", "point", "quotes", "tail"),
+    [
+        (";", ".", csv.QUOTE_MINIMAL, []),
+        (";", ",", csv.QUOTE_MINIMAL, []),
+        ("\t", ",", csv.QUOTE_MINIMAL, []),
+        (",", ".", csv.QUOTE_MINIMAL, ["", ""]),
+        (",", ".", csv.QUOTE_ALL, []),
+    ],
+)
+def test_csv_saved_again_by_a_spreadsheet__is_the_same(
+    tmp_path: Path, separator: str, point: str, quotes: Any, tail: list[str]
+) -> None:
+    # Rationale: rows of standard deviations and members became paints, and an empty row too.
+    path = hp.write_library(make_library(), tmp_path / "paints.csv", curves="all")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = [[*row, *tail] for row in csv.reader(file)]
+    expected = hp.open_library(path).load()
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, delimiter=separator, quoting=quotes)
+        writer.writerows(
+            [re.sub(r"^(-?\d+)\.(\d+)", rf"\1{point}\2", cell) for cell in row]
+            for row in [*rows, [""] * len(rows[0])]
+        )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*metadata-differ")  # decimal commas in properties
+        xr.testing.assert_identical(hp.open_library(path).load(), expected)
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
