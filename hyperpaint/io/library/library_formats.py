@@ -78,11 +78,13 @@ from .spectra_files import (
     MIN_NM,
     OWN_AXES,
     PERCENT,
+    TRANSFORMED,
     USGS_AXIS,
     USGS_RECORD,
     Spectra,
     blocks_of,
     checked_library,
+    foreign_quantity,
     in_nanometres,
     is_csv_library,
     library_of,
@@ -114,8 +116,9 @@ _NAMES = (
     "name", "id", "spectra id", "title",
 )  # fmt: skip
 _WAVELENGTH_UNITS = re.compile(r"wave ?lengths? ?units?|x ?units?", re.IGNORECASE)
-_VALUE_UNITS = re.compile(r"(?:measurement|reflectance|spectra\w*|y) ?units?", re.IGNORECASE)
+_VALUE_UNITS = re.compile(r"(?:measurement|reflectance|spectra\w*|values?|data|y)?[ _]?units?", re.IGNORECASE)
 _QUANTITY = re.compile(r"(?:measurement )?(?:quantity|type)|measurement", re.IGNORECASE)
+_PROCESSING = re.compile(r"(?:data[ _])?process\w*|transform\w*", re.IGNORECASE)
 _MISSING = {"na", "n/a", "nan", "null", "none", "-"}
 _MIN_BANDS, _MAX_CELLS = 3, 4_000_000
 _MAX_SHOWN_ROWS = 5
@@ -233,7 +236,9 @@ def read_sample_table(
     units = _shared_words(properties, _WAVELENGTH_UNITS)
     quantity, value_units = _shared_words(properties, _QUANTITY), _shared_words(properties, _VALUE_UNITS)
     names = _names(properties, path, len(records))
-    other = next((text for text in (quantity, value_units, *names) if other_quantity(text)), "")
+    processing = _shared_words(properties, _PROCESSING)  # may also name what reflectance was made of
+    texts = [*filter(foreign_quantity, (quantity, value_units)), *filter(TRANSFORMED.search, [processing])]
+    other = next(iter([*texts, *filter(other_quantity, names)]), "")
     FormatError.raise_if(
         other and not is_reflectance,
         f"{source}: spectra are {other[:60]!r}",

@@ -841,8 +841,25 @@ _BREAK = re.compile(r"\r\n|\r|\n")
 _MICROMETRE = re.compile(r"(?<![a-zA-Z])(?:um|micromet(?:er|re)s?|microns?|[µμ]m)\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"(?<![a-zA-Z])(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
 PERCENT = re.compile(r"per ?cent|pct|%", re.IGNORECASE)
-_OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
-_ANGSTROM = re.compile(r"\b(?:angstroms?|Å)\b", re.IGNORECASE)
+_OTHER_QUANTITY = re.compile(
+    r"radianc\w*|transmi|emissiv|absorb|absorptanc|\bcounts?\b|\bDN\b|strahldichte|bestrahlungsst",
+    re.IGNORECASE,
+)
+#: What is made of reflectance, and is none.
+TRANSFORMED = re.compile(
+    r"\b(?:first|second|1st|2nd)[ _]derivative|continuum[ _-]removed|\blog(?:10)?[ _(\[]*1 ?/ ?R",
+    re.IGNORECASE,
+)
+#: Headings that are a quantity alone; among other words they may name a paint.
+_OTHER_HEADING = re.compile(
+    r"\s*(?:% ?T|T ?[(\[]? ?%|abs|o\.?d|optical density|k ?/ ?s|extin[ck]tion|absorption|derivative|"
+    r"intensit(?:y|ät|é|a|à)|(?:thermal )?emission)\W*(?:[(\[][^()\[\]]*[)\]])?\s*",
+    re.IGNORECASE,
+)
+#: A line above a table that tells the unit of all values.
+PERCENT_LINE = re.compile(r"[#\s]*(?:\w+[ _])?units?\s*[:=]\s*(?:%|per ?cent|pct)", re.IGNORECASE)
+_WAVE = r"(?:wave ?lengths?|wellenl\w+|wave|wvl?|wl|lambda|λ)"
+_ANGSTROM = re.compile(rf"\b(?:angstroms?|Å)\b|\b{_WAVE}(?: in)? (?-i:A)$", re.IGNORECASE)
 _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|[GT]Hz)\b", re.IGNORECASE)
 _TABLE = SimpleNamespace(
     #: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
@@ -887,8 +904,7 @@ _LENGTH = r"(?:nm|[uµμ]m|(?:nano|micro)met(?:er|re)s?|microns?|angstroms?|Å)"
 _UNIT_CELL = re.compile(rf"|-|1|%|per ?cent|pct|fraction|unitless|{_LENGTH}", re.I)
 #: Headings, without brackets, of wavelengths, of widths of bands, and of numbers of rows.
 _AXIS_NAME = re.compile(
-    r"(?=.)(?:(?:band |cent(?:er|re|ral) )?(?:wave ?lengths?|wellenl\w+|wave|wvl?|wl|lambda|λ))?(?: in)? ?"
-    rf"{_LENGTH}?",
+    rf"(?=.)(?:(?:band |cent(?:er|re|ral) )?{_WAVE})?(?: in)? ?{_LENGTH}?|{_WAVE}(?: in)? (?-i:A)",
     re.I,
 )
 _WIDTH_NAME = re.compile(rf"(?:fwhm|band ?widths?|band ?pass)(?: in)? ?{_LENGTH}?", re.I)
@@ -1014,12 +1030,11 @@ def read_plain_table(
     headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
         # neither headings nor the lines above may name radiance, irradiance, counts or transmittance
-        def foreign(text: str) -> str:
-            # Word or unit of another quantity than reflectance, empty if there is none
-            match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
-            return other_quantity(text) or (match[0].strip() if match else "")
-
-        named = [name.strip() for name in headings[1:] if foreign(name) or STATISTIC.fullmatch(name.strip())]
+        named = [
+            name.strip()
+            for name in headings[1:]
+            if foreign_quantity(name) or STATISTIC.fullmatch(name.strip())
+        ]
         FormatError.raise_if(
             named,
             f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
@@ -1027,10 +1042,9 @@ def read_plain_table(
             mend=f"remove these columns, or {_SAY_SO}",
             code="quantity-wrong",
         )
-        text = " ".join(preamble)
         title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
         FormatError.raise_if(
-            word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""),
+            word := foreign_quantity(preamble[-1] if preamble else "") or (title[0] if title else ""),
             f"{source}: the heading names {word!r}",
             expected="reflectance",
             mend=_SAY_SO,
@@ -1045,6 +1059,7 @@ def read_plain_table(
     # the unit of every column; without names, the last line above the numbers tells the unit of all
     last = [preamble[-1] if preamble else ""] * spectra.size
     is_percent = np.array([PERCENT.search(heading) is not None for heading in headings[1:] or last], np.bool_)
+    is_percent |= any(map(PERCENT_LINE.match, preamble))
     spread = _spread_columns(headings, values.T, source, is_reflectance=is_reflectance)
     paints = np.flatnonzero(spread != _IS_SPREAD)
     # names from headings, without units where they stay distinct
@@ -1324,9 +1339,14 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     units = fields.get("Y Units", "")
     file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
     problems.raise_if_any(
-        (
-            other_quantity(units),
-            Problem(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"),
+        *(
+            (
+                foreign_quantity(fields.get(key, "")),
+                Problem(
+                    f"{key!r} is {fields.get(key, '')[:60]!r}", expected="reflectance", code="quantity-wrong"
+                ),
+            )
+            for key in ("Y Units", "Measurement")
         ),
     )
     table = _table(lines, first, 2, source)
@@ -1556,8 +1576,17 @@ def _table(
 
 def other_quantity(text: str) -> str:
     # Return the word for another quantity than reflectance, empty if there is none.
-    match = _OTHER_QUANTITY.search(text)
-    return match[0] if match and "reflect" not in text.lower() else ""
+    match = None if "reflect" in text.lower() else _OTHER_QUANTITY.search(text)
+    match = match or TRANSFORMED.search(text)
+    return match[0] if match else ""
+
+
+def foreign_quantity(heading: str) -> str:
+    # Return the word or unit for another quantity than reflectance in a heading, empty if there is none.
+    patterns = (_OF_LIGHT.search, _COUNTED.search, _OTHER_HEADING.fullmatch)
+    matches = (find_in(heading) for find_in in patterns if "reflect" not in heading.lower())
+    match = next(filter(None, matches), None)
+    return other_quantity(heading) or (match[0].strip() if match else "")
 
 
 def in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, str]:
@@ -2268,9 +2297,12 @@ def _foreign(
     title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
     match = _TITLE_SCALE.search(title)
     title_scale = float(match[1]) if match else 100.0 if PERCENT.search(title) else None
+    # a description may name the file or the cube of radiance that spectra come from, but no unit of light
+    description, units = (header.fields.get(key, "") for key in ("description", "data units"))
+    is_light = "reflect" not in description.lower() and _OF_LIGHT.search(description) is not None
     FormatError.raise_if(
-        other_quantity(title),
-        f"{source}: the z plot title is {title.strip()[:60]!r}",
+        is_light or foreign_quantity(title) or foreign_quantity(units),
+        f"{source}: the header has {(description if is_light else title + units).strip()[:60]!r}",
         expected="reflectance",
         code="quantity-wrong",
     )

@@ -790,12 +790,14 @@ def each(*spectra: Any, head: str = "name", cells: str = "{}", **options: Any) -
     return opened
 
 
-def aster(values: Any, y: str, x: str = "Wavelength (micrometers)") -> Callable[[Path], Any]:
+def aster(
+    values: Any, y: str, x: str = "Wavelength (micrometers)", more: str = "Class: paint"
+) -> Callable[[Path], Any]:
     # Return what writes a text of the ECOSTRESS library and opens it.
 
     def opened(folder: Path) -> Any:
         head = [
-            "Name: hood", "Type: manmade", "Class: paint", f"X Units: {x}", f"Y Units: {y}",
+            "Name: hood", "Type: manmade", more, f"X Units: {x}", f"Y Units: {y}",
             f"First X Value: {NM[0] / 1e3}", f"Last X Value: {NM[-1] / 1e3}",
             f"Number of X Values: {NM.size}", "",
         ]  # fmt: skip
@@ -863,6 +865,19 @@ WRONG_LIBRARIES = [
     Case("a library of light, no word", envi(LIGHT / 9), "oxygen band"),
     Case("a library in percent, no word", envi(100 * GREY), "scale"),
     Case("a library whose scale is wrong", envi(1e4 * GREY, "reflectance scale factor = 100"), "scale="),
+    Case("derivatives", each(0.01 * GREY, head="name,Processing", cells="p{},first derivative"), "deriv"),
+    Case("ECOSTRESS transmittance", aster(GREY, "Fraction", more="Measurement: Transmittance"), "Transmi"),
+    Case("ECOSTRESS emission", aster(GREY, "Fraction", more="Measurement: Emission"), "Emission"),
+    Case("a library without a continuum", envi(GREY, "z plot titles = {nm, Continuum Removed}"), "Continuum"),
+    Case("a library of radiance by its units", envi(GREY, "data units = Radiance"), "Radiance"),
+    Case("a library of light by a unit", envi(GREY, "description = {lawn, W/m2/sr/nm}"), "W/m2"),
+    *[
+        Case(f"whole heading {heading}", rows(GREY, heading=f"nm,{heading}"), "quantity-wrong")
+        for heading in (
+            "%T", "T (%)", "Log 1/R", "log(1/R)", "First Derivative", "Abs", "OD", "K/S", "Extinktion",
+            "Absorption (a.u.)", "Strahldichte", "Bestrahlungsstärke", "Intensity", "Absorptance",
+        )
+    ],
     Case("our headings, percent", each(100 * GREY, head="signature"), "scale=100"),
     Case("our headings, negative percent", each(-100 * GREY, head="signature"), "far below 0"),
     Case("our headings, light", each(LIGHT / 9, head="signature"), "oxygen band"),
@@ -894,6 +909,11 @@ RIGHT_LIBRARIES = [
     Case("a library", envi(GREY), ""),
     Case("a library with a signalling NaN", envi(np.where(NM == 700, SIGNALLING, np.float32(GREY))), ""),
     Case("a library in percent", envi(100 * GREY, "z plot titles = {Wavelength, Reflectance (%)}"), ""),
+    Case("percent by a comment", rows(100 * GREY, heading="# units: percent\nnm,hood"), ""),
+    Case("percent by a column", each(100 * GREY, head="name,Units", cells="p{},percent"), ""),
+    Case("rows of quantities", each(GREY, GREY, head="name,Processing", cells="OD {},from radiance"), ""),
+    Case("paints named as quantities", rows(GREY, 0.9 * GREY, heading="nm,Abs 1,red OD"), ""),
+    Case("a library of a folder", envi(GREY, "description = {D:/radiance/counts.sli}"), ""),
     Case("ECOSTRESS text", aster(100 * GREY, "Reflectance (percent)"), ""),
 ]  # fmt: skip
 
@@ -980,6 +1000,8 @@ READ: dict[str, tuple[str, tuple[Any, ...], dict[str, str], list[str]]] = {
     "grains in um": ("# grain size 20 um\nwavelength (nm),a", (NMS, A), {}, ["a"]),
     "width of bands": ("wavelength (um),fwhm (nm),a", (NMS / 1e3, 0 * NMS + 12, A), {}, ["a"]),
     "angstrom": ("Wavelength (Angstrom),a", (NMS * 10.0, A), {}, ["a"]),
+    "A": ("Wavelength (A),a", (NMS * 10.0, A), {}, ["a"]),
+    "lambda_A": ("lambda_A,A,B", (NMS * 10.0, A, B), {}, ["A", "B"]),
 }
 
 
