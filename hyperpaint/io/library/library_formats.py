@@ -8,6 +8,7 @@ transpose: a row for each property, then for each wavelength, and a column for e
 
 import contextlib
 import csv
+import itertools
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -56,6 +57,7 @@ from hyperpaint.io.files.reading import (
     refuse,
 )
 from hyperpaint.io.spectrometers.spectrum_texts import (
+    MEAN,
     NM_HEADING,
     RATIO,
     SPECTRUM_SUFFIXES,
@@ -64,6 +66,8 @@ from hyperpaint.io.spectrometers.spectrum_texts import (
     form_of,
     heading_cells,
     read_spectrum_text,
+    statistics_among,
+    warn_of,
 )
 from hyperpaint.io.store import (
     is_zarr,
@@ -164,7 +168,9 @@ def read_sample_table(
     # of times; all rows are named.
     source = path.name
     text = decoded_text(read_limited_text(path, MAX_BYTES, "a table of spectra"))
-    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    lines = [
+        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip(' \t,;"') and line[0] != "#"
+    ]
     separator = heading_cells(lines[0][1])[0]
     with FormatError.instead_of(csv.Error, f"{source}: no table ($whole)", code="row-unreadable"):
         rows = list(csv.reader([line for _, line in lines], delimiter=separator))
@@ -236,6 +242,16 @@ def read_sample_table(
     units = _shared_words(properties, _WAVELENGTH_UNITS)
     quantity, value_units = _shared_words(properties, _QUANTITY), _shared_words(properties, _VALUE_UNITS)
     names = _names(properties, path, len(records))
+    statistics = statistics_among(names) if any(map(MEAN.search, names)) else []
+    if statistics:
+        warn_of(
+            f"rows {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out",
+            [source],
+            "columns-left-out",
+        )
+        is_kept = [name not in statistics for name in names]
+        names, values = [name for name in names if name not in statistics], values[is_kept]
+        properties = {key: list(itertools.compress(cells, is_kept)) for key, cells in properties.items()}
     processing = _shared_words(properties, _PROCESSING)  # may also name what reflectance was made of
     texts = [*filter(foreign_quantity, (quantity, value_units)), *filter(TRANSFORMED.search, [processing])]
     other = next(iter([*texts, *filter(other_quantity, names)]), "")

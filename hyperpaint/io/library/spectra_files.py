@@ -95,7 +95,7 @@ from hyperpaint.io.files.reading import (
     text_of_cell,
     unique_names,
 )
-from hyperpaint.io.spectrometers.spectrum_texts import SPREAD, STATISTIC, heading_cells
+from hyperpaint.io.spectrometers.spectrum_texts import MEAN, SPREAD, heading_cells, statistics_among
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.
@@ -881,7 +881,7 @@ _NO_SPREAD, _IS_SPREAD = -1, -2
 _SAY_SO = "pass quantity='reflectance' if the values are reflectance"
 
 _IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]*dev", re.I)
-_MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
+_FILLER = re.compile(r"(?<![a-z])(?:reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
 _OF_LIGHT = re.compile(
     r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
 )
@@ -895,7 +895,7 @@ _TITLE = re.compile(
 _LAMP = re.compile(r"\b(?:lamps?|luminaires?)\b", re.I)
 
 #: Headings that do not name a paint.
-_GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
+_GENERIC = re.compile(rf"|r|rho|y|values?|.*(?:reflect|average|mean).*|{MEAN.pattern}", re.IGNORECASE)
 
 #: Units in headings are removed from names of paints, which are paired with references by name.
 _UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|pct|fraction|unitless|-|1)\s*[)\]]\s*$", re.IGNORECASE)
@@ -1030,11 +1030,9 @@ def read_plain_table(
     headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
         # neither headings nor the lines above may name radiance, irradiance, counts or transmittance
-        named = [
-            name.strip()
-            for name in headings[1:]
-            if foreign_quantity(name) or STATISTIC.fullmatch(name.strip())
-        ]
+        names = [name.strip() for name in headings[1:]]
+        others = [name for name in statistics_among(names) if not SPREAD.search(name)]
+        named = [name for name in names if foreign_quantity(name) or name in others]
         FormatError.raise_if(
             named,
             f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
@@ -1208,7 +1206,7 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
     if headings:
         # names without units and words for mean and standard deviation: letters and digits
         paints = [
-            "".join(filter(str.isalnum, _MEAN.sub(" ", SPREAD.sub(" ", heading.lower()))))
+            "".join(filter(str.isalnum, _FILLER.sub(" ", MEAN.sub(" ", SPREAD.sub(" ", heading.lower())))))
             for heading in headings[1:]
         ]
         names_spread = np.array([SPREAD.search(heading) is not None for heading in headings[1:]])
@@ -1558,7 +1556,7 @@ def _table(
     with Problems(f"{source} cannot be read", FormatError) as problems:
         rows = []
         for at, line in enumerate(lines[first_line:], first_line + 1):
-            if not line.strip():
+            if not line.strip(" \t,;"):  # also rows of empty cells below a table of a spreadsheet
                 continue
             row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
             if row is None or len(row) != columns:

@@ -67,11 +67,22 @@ QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 
 #: Headings of standard deviations, and of further statistics of spectra.
 SPREAD = re.compile(
-    r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
+    r"(?<![a-z])(?:standard[ _.-]?(?:dev|abw)\w*|stabw|[ée]cart[ -]?type|desviaci[oó]n\w*|st\.? ?dev\w*|"
+    r"std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])",
+    re.I,
 )
 STATISTIC = re.compile(
-    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|std ?err\w*|sem|cov|snr|flags?|qc|weights?|"
+    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|(?:standard |std ?)err\w*|sem|cov|snr|"
+    r"(?:quality[ _-]?)?flags?|qc|weights?|"
     r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
+    re.I,
+)
+
+#: Headings of means, and of what is a statistic beside a mean, and may be a name elsewhere.
+MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|mittel(?:wert)?|moyenne|promedio|media)(?![a-z])", re.I)
+_BESIDE_MEAN = re.compile(
+    r"(?:se|cv|min(?:imum)?|max(?:imum)?|median|(?:lower|upper|lo|hi|lcl|ucl|ci)[ _-]?\d*|[pq]\d+)"
+    r"(?: ?[(\[]?%[)\]]?)?",
     re.I,
 )
 
@@ -113,18 +124,21 @@ def statistics_among(names: Sequence[str]) -> list[str]:
     --------
     >>> statistics_among(["red.asd", "red sd", "White Std", "Std", "variance"])
     ['red sd', 'Std', 'variance']
+    >>> statistics_among(["mean", "SE", "max"]), statistics_among(["E", "SE", "max"])
+    (['SE', 'max'], [])
     """
-    stems = ["".join(filter(str.isalnum, SPREAD.sub(" ", _stem(name)))) for name in names]
-    spectra = {stem for stem, name in zip(stems, names, strict=True) if not SPREAD.search(_stem(name))}
+    # names without the words for a mean and a spread, and without the suffix of a file
+    rest = [MEAN.sub(" ", name.lower()).strip().removesuffix(".asd") for name in names]
+    stems = ["".join(filter(str.isalnum, SPREAD.sub(" ", name).replace(".asd ", " "))) for name in rest]
+    spectra = {stem for stem, name in zip(stems, rest, strict=True) if not SPREAD.search(name)}
+    has_mean = any(MEAN.fullmatch(name) or name.lower() == "reflectance" for name in names)
     return [
         name
-        for stem, name in zip(stems, names, strict=True)
-        if STATISTIC.fullmatch(name) or (SPREAD.search(_stem(name)) and (not stem or stem in spectra))
+        for stem, given, name in zip(stems, rest, names, strict=True)
+        if STATISTIC.fullmatch(name)
+        or (has_mean and _BESIDE_MEAN.fullmatch(name))
+        or (SPREAD.search(given) and (not stem or stem in spectra))
     ]
-
-
-def _stem(name: str) -> str:
-    return name.lower().removesuffix(".asd")
 
 
 def find_paths(

@@ -847,6 +847,10 @@ WRONG_LIBRARIES = [
     Case("a number of samples", rows(GREY, 0 * GREY + 8, heading="nm,hood,N"), "'N'"),
     Case("a number of spectra", rows(GREY, 0 * GREY + 8, heading="nm,hood,n samples"), "n samples"),
     Case("a variance", rows(GREY, 0.01 * GREY, heading="nm,hood,variance"), "variance"),
+    *[
+        Case(f"statistics {names}", rows(GREY, GREY / 9, GREY / 8, heading=f"nm,{names}"), "quantity-wrong")
+        for names in ("mean,SE,CV", "Reflectance,lower95,upper95", "min,max,mean", "R,quality_flag,hood")
+    ],
     Case("two spectra one below the other", tabled(np.tile(NM, 2), np.tile(GREY, 2)), "occur twice"),
     Case("wavelengths rounded", tabled(np.round(NM / 1e3, 2), GREY, heading="um,reflectance"), "twice"),
     Case("one wavelength, two values", tabled(TWICE, np.linspace(0.2, 0.3, TWICE.size)), "averaged"),
@@ -970,9 +974,9 @@ A, B = np.linspace(0.2, 0.4, 61), np.linspace(0.5, 0.3, 61)
 ROW = np.arange(61)
 
 
-def written(path: Path, heading: str, *columns: Any, mark: str = ",", end: str = "") -> Path:
+def written(path: Path, heading: str, *columns: Any, mark: str = ",", end: str = "", last: str = "") -> Path:
     rows = (mark.join(f"{value:.6g}" for value in row) + end for row in zip(*columns, strict=True))
-    path.write_text("\n".join([*([heading] if heading else []), *rows]) + "\n", encoding="utf-8")
+    path.write_text("\n".join([*([heading] if heading else []), *rows, last]) + "\n", encoding="utf-8")
     return path
 
 
@@ -997,6 +1001,10 @@ READ: dict[str, tuple[str, tuple[Any, ...], dict[str, str], list[str]]] = {
     "pct of one column": ("nm,a,b_pct", (NMS, A, 100 * B), {}, ["a", "b_pct"]),
     "spread without its unit": ("nm,a (%),std", (NMS, 100 * A, 3 + 0 * A), {}, ["a"]),
     "row of units": ("Wavelength,a,b\nµm,%,1", (NMS / 1e3, 100 * A, B), {}, ["a", "b"]),
+    "German spread": ("nm;Mittelwert;Standardabweichung", (NMS, A, 0.1 * A), {"mark": ";"}, ["x"]),
+    "French spread": ("nm;a moyenne;a écart-type", (NMS, A, 0.1 * A), {"mark": ";"}, ["a moyenne"]),
+    "names that are statistics elsewhere": ("nm,SE,max", (NMS, A, B), {}, ["SE", "max"]),
+    "empty row": ("nm,a,b", (NMS, A, B), {"last": ",,"}, ["a", "b"]),
     "grains in um": ("# grain size 20 um\nwavelength (nm),a", (NMS, A), {}, ["a"]),
     "width of bands": ("wavelength (um),fwhm (nm),a", (NMS / 1e3, 0 * NMS + 12, A), {}, ["a"]),
     "angstrom": ("Wavelength (Angstrom),a", (NMS * 10.0, A), {}, ["a"]),
@@ -1043,9 +1051,27 @@ def test_columns_that_are_no_reflectance_are_refused(
     expect_errors((FormatError, code, lambda: hp.open_library(path)))
 
 
-@pytest.mark.parametrize("name", ["Std", "SD", "St. Dev.", "Variance", "N"])
-def test_statistics_of_a_spectrometers_table_are_no_spectra(name: str, tmp_path: Path) -> None:
-    path = written(tmp_path / "s.csv", f"Wavelength,Reflectance,{name}", NMS, A, 0 * A + 0.01)
+def test_rows_of_statistics_and_empty_rows_are_no_paints(tmp_path: Path) -> None:
+    rows = [["name", *map(str, NMS)], *([name, *["0.3"] * 61] for name in ("mean", "std")), [""] * 62]
+    path = write_text(tmp_path, "\n".join(map(",".join, rows)), "rows.csv")
+    with pytest.warns(PaintWarning, match="columns-left-out"):
+        assert hp.open_library(path)["signature"].values.tolist() == ["mean"]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "Reflectance,Std",
+        "Reflectance,SD",
+        "R,St. Dev.",
+        "R,Variance",
+        "R,N",
+        "a.asd mean,a.asd std",
+        "mean,SE",
+    ],
+)
+def test_statistics_of_a_spectrometers_table_are_no_spectra(names: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "s.csv", f"Wavelength,{names}", NMS, A, 0 * A + 0.01)
     with pytest.warns(hp.errors.PaintWarning, match="columns-left-out"):
         opened = hp.open_asd(path, quantity="reflectance")
     assert opened.sizes["spectrum"] == 1
