@@ -842,7 +842,7 @@ _MICROMETRE = re.compile(r"(?<![a-zA-Z])(?:um|micromet(?:er|re)s?|microns?|[µμ
 _NANOMETRE = re.compile(r"(?<![a-zA-Z])(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
 PERCENT = re.compile(r"per ?cent|pct|%", re.IGNORECASE)
 _OTHER_QUANTITY = re.compile(
-    r"radianc\w*|transmi|emissiv|absorb|absorptanc|\bcounts?\b|\bDN\b|strahldichte|bestrahlungsst",
+    r"radianc\w*|transmi\w*|emissiv\w*|absorb\w*|absorptanc\w*|\bcounts?\b|\bDN\b|strahldichte|bestrahlungsst",
     re.IGNORECASE,
 )
 #: What is made of reflectance, and is none.
@@ -860,7 +860,7 @@ _OTHER_HEADING = re.compile(
 PERCENT_LINE = re.compile(r"[#\s]*(?:\w+[ _])?units?\s*[:=]\s*(?:%|per ?cent|pct)", re.IGNORECASE)
 _WAVE = r"(?:wave ?lengths?|wellenl\w+|wave|wvl?|wl|lambda|λ)"
 _ANGSTROM = re.compile(rf"\b(?:angstroms?|Å)\b|\b{_WAVE}(?: in)? (?-i:A)$", re.IGNORECASE)
-_OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|[GT]Hz)\b", re.IGNORECASE)
+WAVENUMBER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|[GT]Hz)\b", re.IGNORECASE)
 _TABLE = SimpleNamespace(
     #: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
     #: radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in thirty
@@ -1099,7 +1099,7 @@ def read_plain_table(
 def _unit_text(heading: str, otherwise: str) -> str:
     # Return a heading that names a unit of length or of wavenumber, else another text
     text = _plain_heading(heading)
-    units = (_NANOMETRE, _MICROMETRE, _ANGSTROM, _OTHER)
+    units = (_NANOMETRE, _MICROMETRE, _ANGSTROM, WAVENUMBER)
     return text if any(unit.search(text) for unit in units) else otherwise
 
 
@@ -1597,7 +1597,7 @@ def in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, s
     elif _ANGSTROM.search(text):
         factor = 0.1
     elif not _NANOMETRE.search(text):
-        if other_unit := _OTHER.search(text):
+        if other_unit := WAVENUMBER.search(text):
             raise FormatError(
                 f"{source}: the unit of the first column is {other_unit[0]!r}",
                 expected="nm or um",

@@ -659,8 +659,14 @@ def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:
             mend="write such a csv, or pass an xarray object with the dims time and wavelength",
             code="format-unknown",
         )
+        svc = Problem(
+            "a file of an SVC spectrometer",
+            mend="open it with hp.open_svc, and pass its irradiance with .swap_dims(spectrum='time')",
+            code="format-unknown",
+        )
         refuse(
             path.name,
+            (kind == "scans", svc),
             (is_file, (foreign_format(path) if is_file else None) or unknown),
             (exists, Problem("a pipe, a device or a broken link", code="file-not-plain")),
             (True, Problem("no such file", code="file-not-found")),

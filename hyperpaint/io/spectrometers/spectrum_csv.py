@@ -30,6 +30,7 @@ from hyperpaint.io.files.reading import (
     row_numbers,
     table_of,
 )
+from hyperpaint.io.library.spectra_files import WAVENUMBER, foreign_quantity
 
 _MAX_BYTES = 16 << 20
 _MAX_SHOWN = 5
@@ -157,7 +158,7 @@ _SHARES = {
 _UNITS = ("nm", _LENGTHS), ("1", _SHARES)
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _UNIT_AT_END = re.compile(
-    r"/ *([^ /\d]+)$|(?:^|[ _,])(nm|um|µm|μm|percent|per cent|pct)$|(?<!\d)(?<!\d )(%)$"
+    r"/ *([^ /\d]+)$|(?:^|[ _,])(nm|um|µm|μm|percent|per cent|pct)$|(?<!\d)(?<!\d )(%)$|^(%) ?(?=[a-zA-Z])"
 )
 _PERCENT = re.compile(r"(?<!\d)(?<!\d )(?:%|\bper ?cent\b)", re.IGNORECASE)
 _WAVELENGTH = re.compile(r"(?:cent(?:er|re|ral) |band )?(?:wave ?lengths?|wvl?|wl|lambda|λ)?(?: in)?[ _/,:]*")
@@ -235,7 +236,7 @@ def _units_in_heading(heading: str, column: int, is_last: bool) -> list[str]:
         texts_by_column.append(
             [
                 *cell_units,
-                *([] if unit_at_end is None else [unit_at_end[1] or unit_at_end[2] or unit_at_end[3]]),
+                *([] if unit_at_end is None else [unit_at_end[unit_at_end.lastindex or 0]]),
             ]
         )
     cell_words = [
@@ -286,6 +287,19 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     path = as_path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, has_units=True)
     factor = _factor(headings, 1, path)
+    # the line of names; the lines above it may describe accessories
+    named = [cell.strip() for line in headings[-1:] for cell in re.split(r"[;,\t]| {2,}", line.lstrip("#"))]
+    refuse(
+        str(path),
+        (
+            word := next(filter(None, map(foreign_quantity, named)), ""),
+            Problem(f"the heading names {word!r}", expected="reflectance", code="quantity-wrong"),
+        ),
+        (
+            unit := next(filter(None, map(WAVENUMBER.search, named[:1])), None),
+            Problem(f"wavelengths under {unit and unit[0]!r}", expected="nm or um", code="units-unknown"),
+        ),
+    )
     FormatError.raise_if(
         factor < 1.0 and values.max() <= _MAX_PANEL_REFLECTANCE,
         f"{path}: values from {values.min():g} to {values.max():g} under a heading with %",

@@ -1328,7 +1328,7 @@ _COLUMNS = tuple(
         (r"transm|absorb", "transmittance or absorbance", "target"),
         (r"reflect|tgt\.? ?/ ?ref|^r\b[^a-z]*%", "reflectance", "target"),
         (r"irrad.*\bref\b", "irradiance", "reference"),
-        (r"irrad", "irradiance", "target"),
+        (r"irr(?:ad|\b)", "irradiance", "target"),
         (r"\brad.*\bref\b", "radiance", "reference"),
         (r"\brad", "radiance", "target"),
         (r"^(?:d|dark)\b", "counts", "dark"),
@@ -1349,6 +1349,9 @@ _HEAD = (
 )
 _UNITS = _pattern(r'^"?(?:[yY] ?)?(?:units?|unidades|einheit(?:en)?) *[:=\t] *([^\n,"]{1,40})')
 _IN_BRACKETS = re.compile(r"\[([^\[\]]{1,40})\]")
+_OTHER_AXIS = _pattern(
+    r"^x ?axis(?: mode)? *[:\t] *([^\n]*(?:wave ?number|raman|shift|freq|pixel|cm-1)[^\n]*)"
+)
 _INTEGRATION = _pattern(
     r"^(?:integration time|tiempo de integraci\S*|i-time)\s*(?:[(\[](usec|msec|sec|ms)[)\]])?\s*[:\t]\s*"
     r"(\d{1,9}(?:[.,]\d{1,9})?(?:E[+-]?\d{1,2})?)"
@@ -1556,8 +1559,18 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
     axis = next((i for i, heading in enumerate(headings) if _WAVELENGTH.match(heading)), 0)
     values = np.array(table, np.float64).T
     wavelength = values[axis]
+    other_axis = _OTHER_AXIS.search(head)
     refuse(
         path.name,
+        (
+            other_axis,
+            Problem(
+                f"the first column is {other_axis and other_axis[1].strip()[:40]!r}",
+                expected="wavelengths",
+                mend="export it over wavelengths [nm]",
+                code="units-unknown",
+            ),
+        ),
         (count > _MAX_COLUMNS, Problem(f"{count} columns", expected=f"{_MAX_COLUMNS}", code="file-damaged")),
         (len(table) < 2, Problem(f"{len(table)} rows", expected="a spectrum", code="table-missing")),
         (

@@ -226,6 +226,13 @@ def test_irradiance_of_others(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(opened["irradiance_wavelength"].values, NM)
 
 
+def test_units_of_avantes_irradiance_are_those_of_the_file(tmp_path: Path) -> None:
+    rows = columns(100.0 * LIGHT, sep=";", comma=True)
+    (tmp_path / "a.ttt").write_text(avantes("Wave ;AbsIrr", "[nm] ;[µW/cm²/nm]", rows), encoding="latin-1")
+    opened = hp.open_asd(tmp_path / "a.ttt", "irradiance")
+    np.testing.assert_allclose(opened["irradiance"].values[0], LIGHT, rtol=1e-4, atol=1e-6)
+
+
 def test_zone_and_window_of_a_date(tmp_path: Path) -> None:
     (tmp_path / "a.JazIrrad").write_text(IRRADIANCES["Jaz"][1])
     opened = open_irradiance(tmp_path / "a.JazIrrad", fwhm_nm=1.5, max_gap_s=5)
@@ -403,6 +410,38 @@ REFUSED: dict[str, tuple[str, str | bytes, Any, str, tuple[str, ...]]] = {
     "percent without a word": (
         "p.csv", "nm;R\n400;98\n500;97\n", hp.io.read_certificate, "scale-missing", ()
     ),
+    **{
+        f"certificate of {heading}": ("p.csv", f"# 8/h\n{heading}\n8000;0.9\n9000;0.9\n", read, code, ())
+        for read in [hp.io.read_certificate]
+        for heading, code in (
+            ("nm;absorptance", "quantity-wrong"),
+            ("nm;transmittance (%)", "quantity-wrong"),
+            ("nm;%T", "quantity-wrong"),
+            ("nm;emissivity;u(k=2)", "quantity-wrong"),
+            ("cm-1;R", "units-unknown"),
+        )
+    },
+    "wavenumbers of OceanView": (
+        "a.txt",
+        ocean(columns(0.25), more="XAxis mode: Wavenumbers\nMode: Reflectance\n") + END,
+        hp.open_library,
+        "units-unknown",
+        ("Wavenumbers",),
+    ),
+    "Raman shifts": (
+        "a.txt",
+        ocean(columns(0.25), more="XAxis mode: Raman Shifts\n") + END,
+        lambda path: hp.open_asd(path, "reflectance"),
+        "units-unknown",
+        ("Raman",),
+    ),
+    "SVC as irradiance": (
+        "a.sig",
+        "/*** Spectra Vista SIG Data ***/\nunits= Irradiance, Irradiance\ndata=\n",
+        open_irradiance,
+        "format-unknown",
+        ("hp.open_svc", "swap_dims"),
+    ),
     "two reflectances": (
         "p.csv",
         "nm;R(8/h);R(0/45)\n400;0.98;0.97\n500;0.97;0.96\n",
@@ -435,6 +474,8 @@ def test_the_way_out_is_named(name: str, tmp_path: Path) -> None:
         ("nm\tR\n400\t0,99\n700\t0,93\n", 0.96),
         ("Wellenlaenge nm   Reflexion\n400,0  0,99\n700,0  0,93\n", 0.96),
         ("wavelength [um],reflectance [%],std [%]\n0.4,99,0.2\n0.7,93,0.2\n", 0.96),
+        ("# absorbance accessory\nnm,%R\n400,99\n700,93\n", 0.96),
+        ("nm;%Reflectance\n400;99\n700;93\n", 0.96),
         ("Wavelength,R (8/h),u(R)\nnm,1,1\n400,0.99,0.005\n700,0.93,0.005\n", 0.96),
         ("400,0.02,0.001\n700,0.02,0.001\n", None),
     ],
