@@ -560,6 +560,7 @@ _BY_SUFFIX = {
 _BY_CONTENT = {
     "binary": _asd,
     "text": _asd_text,
+    "table": _asd_text,
     "scans": _svc,
     "instrument": _spectrum_text,
     "csv": _irradiance_csv,

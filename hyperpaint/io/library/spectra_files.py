@@ -257,8 +257,8 @@ def reflectances(
         finite = np.isfinite(values)
         magnitudes = np.abs(values[finite])
         advice = (
-            "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 if values "
-            "are fractions"
+            "pass scale=100 (hp.open_library) for percent, 10000 for hundredths of a percent, or scale=1 if "
+            "values are fractions"
         )
         if magnitudes.size and float(np.median(magnitudes)) > _PLAUSIBLE.max_median:
             raise FormatError(

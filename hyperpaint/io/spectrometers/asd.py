@@ -43,6 +43,13 @@ from hyperpaint.base import (
     warn_user,
 )
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
+from hyperpaint.io.library.spectra_files import (
+    PERCENT,
+    PERCENT_LINE,
+    foreign_quantity,
+    in_nanometres,
+    reflectances,
+)
 
 from .record_faults import clipped_top
 from .spectrum_texts import (
@@ -68,7 +75,7 @@ from .spectrum_texts import (
     warn_of,
 )
 
-Kind = Literal["binary", "text", "scans", "instrument", "csv", "unknown"]
+Kind = Literal["binary", "text", "table", "scans", "instrument", "csv", "unknown"]
 
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 _AGAIN = "copy the file again from the instrument"
@@ -513,6 +520,8 @@ class AsdText(NamedTuple):
     wavelength: Floats  # (wavelength) [nm]
     values: Floats  # (spectrum, wavelength), in the exported quantity
     preamble: Mapping[str, Any]  # facts of `Export.preamble`; None where the export does not state them
+    is_plain: bool  # whether any program may have written the table
+    is_percent: bool  # whether a line above the table states percent
 
     @property
     def likely_quantity(self) -> str | None:
@@ -523,6 +532,12 @@ class AsdText(NamedTuple):
 def _export_at(lines: Sequence[str]) -> tuple[Export, int] | None:
     # Return the form of an export, and the number of its heading among the lines.
     return next(((e, i) for i, line in enumerate(lines) for e in EXPORTS if e.heading.match(line)), None)
+
+
+def _is_plain(head: str) -> bool:
+    # Return whether a table has no sentence and no name of ViewSpec: any program may have written it.
+    facts = (pattern for export in EXPORTS for pattern, _ in export.preamble.values())
+    return not any(re.search(pattern, head, re.IGNORECASE) for pattern in (r"\.asd\b", *facts))
 
 
 def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
@@ -602,6 +617,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
         (not labels, Problem("the table is empty", mend=again, code="table-missing")),
         (not is_ordered, Problem("the wavelengths do not increase", mend=again, code="wavelength-unordered")),
     )
+    wavelength, _ = in_nanometres("", wavelength, name)
     table = np.array(rows, np.float64)
     values = np.ascontiguousarray(table if is_spectrum_per_row else table.T)
     statistics = [] if is_spectrum_per_row else statistics_among(spectra)
@@ -614,7 +630,16 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
         )
         spectra, values = [spectra[number] for number in kept], values[kept]
     wavelength.flags.writeable = values.flags.writeable = False
-    return AsdText(name, export.instrument, tuple(spectra), wavelength, values, preamble)
+    return AsdText(
+        name,
+        export.instrument,
+        tuple(spectra),
+        wavelength,
+        values,
+        preamble,
+        is_plain=_is_plain("\n".join(lines[: start + 100])[:_HEAD_BYTES]),
+        is_percent=any(map(PERCENT_LINE.match, lines[:start])),
+    )
 
 
 # --- files of any kind -------------------------------------------------------------------------------------
@@ -645,13 +670,14 @@ def sniff(path: Path) -> Kind:
         return "scans"
     if form_of("\n".join(lines)) is not None:
         return "instrument"
-    is_export = _export_at(lines) is not None
-    return "text" if is_export else "csv" if is_logger_csv(lines) else "unknown"
+    if _export_at(lines) is not None:
+        return "table" if _is_plain("\n".join(lines)) else "text"
+    return "csv" if is_logger_csv(lines) else "unknown"
 
 
 def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:
     kind = sniff(path)
-    if kind not in ("binary", "text", "instrument"):
+    if kind not in ("binary", "text", "table", "instrument"):
         is_file, exists = path.is_file(), os.path.lexists(path)
         unknown = Problem(
             "no file of a field spectrometer",
@@ -674,7 +700,7 @@ def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:
     return (
         read_asd(path)
         if kind == "binary"
-        else (read_asd_text if kind == "text" else read_spectrum_text)(path)
+        else (read_spectrum_text if kind == "instrument" else read_asd_text)(path)
     )
 
 
@@ -829,6 +855,9 @@ def read_spectra(
                 ),
             ),
         )
+        values = content.values
+        if target_quantity == "reflectance" and content.is_plain:
+            values = _checked_reflectance(content)
         integration_ms, averages = (
             content.preamble.get(key) for key in ("integration_ms", "sample_averages")
         )
@@ -836,12 +865,12 @@ def read_spectra(
             Spectrum(
                 f"{content.name}:{column}" if len(content.spectra) > 1 else content.name,
                 content.wavelength,
-                values,
+                spectrum,
                 content.preamble.get("local_time"),
                 averaging_s=None if integration_ms is None else integration_ms * 1e-3 * max(averages or 1, 1),
                 instrument=content.instrument,
             )
-            for column, values in zip(content.spectra, content.values, strict=True)
+            for column, spectrum in zip(content.spectra, values, strict=True)
         ]
 
     spectra = [
@@ -859,6 +888,28 @@ def read_spectra(
         "dark-not-subtracted",
     )
     return mask_undefined(spectra, target_quantity), target_quantity
+
+
+def _checked_reflectance(content: AsdText) -> Floats:
+    # Return the values of a table of any program as fractions, by its headings and with the checks of
+    # `hyperpaint.open_library`; NaN for fill values.
+    named = [name for name in content.spectra if foreign_quantity(name)]
+    fault = Problem(
+        f"column headings name {', '.join(map(repr, named[:5]))}",
+        expected="reflectance",
+        mend="remove these columns, or pass their quantity=",
+        code="quantity-wrong",
+    )
+    refuse(content.name, (named, fault))
+    is_percent = np.array([PERCENT.search(name) is not None for name in content.spectra])
+    is_percent |= content.is_percent
+    values = content.values / np.where(is_percent, 100.0, 1.0)[:, None]
+    finite = np.where(np.isfinite(content.values), content.values, np.nan)
+    for percent in {*is_percent.tolist()}:
+        rows = is_percent == percent
+        checked = reflectances(finite[rows], content.name, file_scale=100.0 if percent else None, scale=None)
+        values[rows] = np.where(np.isnan(checked), np.nan, values[rows])
+    return values
 
 
 def _spectrum_of(

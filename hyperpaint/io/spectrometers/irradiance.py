@@ -601,7 +601,8 @@ def _from_files(
     units: str | None,
     calibration: Mapping[str, str | os.PathLike[str]] | None,
 ) -> _Series:
-    kinds, default_units = [sniff(path) for path in files], VARIABLES["irradiance"].units
+    kinds = ["text" if (kind := sniff(path)) == "table" else kind for path in files]
+    default_units = VARIABLES["irradiance"].units
     if "csv" in kinds:
         other_names = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
         FormatError.raise_if(

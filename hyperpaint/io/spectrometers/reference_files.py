@@ -72,6 +72,7 @@ def open_spectra(files: Sequence[Path], *, is_reference: bool = False) -> list[x
             "scans": open_svc,
             "binary": open_asd,
             "text": open_asd,
+            "table": open_asd if is_reference else open_library,
             "instrument": open_library,
         }
         for path in files:

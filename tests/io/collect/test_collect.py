@@ -316,6 +316,14 @@ def test_references_are_opened_by_what_they_are(collect: Path) -> None:
         assert tree[f"references/{name}"].to_dataset().identical(opened(folder))
 
 
+def test_a_table_of_any_program_may_be_a_reference(collect: Path) -> None:
+    # Rationale: the first heading 'Wavelength' made it an export of ASD, whose quantity is unknown.
+    (collect.parent / "red.csv").write_text("Wavelength,red\n400,0.2\n500,0.3\n600,0.4\n")
+    collect.write_text(f'{collect.read_text()}\n[[references]]\ninstrument = "red"\nfiles = "red.csv"\n')
+    opened = hp.open_collect(collect)["references/red"]
+    assert opened["signature"].values.tolist() == ["red"]
+
+
 def test_a_damaged_reference_is_an_error_that_names_it(collect: Path) -> None:
     (collect.parent / "svc" / "red.sig").write_text("/*** Spectra Vista SIG Data ***/\nunits= ?\n")
     (collect.parent / "asd_reflectance" / "blue.asd").write_bytes(b"as7")

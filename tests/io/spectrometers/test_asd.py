@@ -13,6 +13,7 @@ from support.refusals import expect_errors, expect_refusals
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.spectrometers import asd
 from hyperpaint.io.spectrometers.asd import Cursor, open_asd, read_asd, read_asd_text, sniff
+from hyperpaint.io.spectrometers.reference_files import open_references
 
 GRID = np.arange(350.0, 1051.0)
 COUNTS = 1000.0 + np.arange(len(GRID)) * 3.0
@@ -603,6 +604,40 @@ def test_damaged_exports(tmp_path, text, problem):
     expect_errors((FormatError, problem, lambda: read(tmp_path, text)))
 
 
+@pytest.mark.parametrize(
+    ("heading", "value", "code"),
+    [
+        ("Wavelength,white", 80, "scale-missing"),
+        ("Wavelength,DN", 20000, "quantity-wrong"),
+        ("Wavelength,a,Absorbance", 0.5, "quantity-wrong"),
+        ("Wavelength,Radiance (W/m2/sr/nm)", 0.1, "quantity-wrong"),
+        ("Wavelength,Reflectance (%)", 80, None),
+        ("# units: percent\nWavelength,red", 80, None),
+        ("Wavelength,DN.asd", 0.8, None),
+    ],
+)
+def test_tables_of_other_programs_are_checked(tmp_path, heading, value, code):
+    columns = heading.count(",")
+    rows = "".join(f"{nm / 1e3}" + f",{value}" * columns + "\n" for nm in range(400, 900, 5))
+    (tmp_path / "a.csv").write_text(f"{heading}\n{rows}")
+    for opened in (
+        lambda: open_asd(tmp_path / "a.csv", "reflectance"),
+        lambda: open_references([tmp_path])[0],
+    ):
+        if code is not None:
+            expect_errors((FormatError, code, opened))
+            continue
+        np.testing.assert_allclose(opened()["reflectance"].values, 0.8, rtol=1e-12)
+        np.testing.assert_allclose(opened()["wavelength"].values, np.arange(400, 900, 5))
+
+
+def test_fill_values_of_a_table_are_missing(tmp_path):
+    (tmp_path / "a.csv").write_text("Wavelength,a\n400,-9999\n500,0.1\n600,0.3\n")
+    with pytest.warns(PaintWarning, match="values-far-below-zero|samples-undefined"):
+        values = open_asd(tmp_path / "a.csv", "reflectance")["reflectance"].values
+    np.testing.assert_array_equal(values, [[np.nan, 0.1, 0.3]])
+
+
 def test_the_text_of_a_spectrometer_is_a_row(tmp_path, monkeypatch):
     heading = re.compile(r"nm;", re.IGNORECASE)
     row = asd.Export("AvaSpec", heading, {"integration_ms": (r"t = (\d+) ms", lambda match: float(match[1]))})
@@ -619,6 +654,7 @@ def test_sniffing(tmp_path):
     path = tmp_path / "any"
     for content, kind in (
         (preamble() + "Wavelength,a\n350,1\n", "text"),
+        ("Wavelength,a\n350,1\n", "table"),
         ("# units: 1\ntime,350,351\n", "csv"),
         ("wave", "unknown"),
     ):
