@@ -124,31 +124,46 @@ _VALUE_UNITS = re.compile(r"(?:measurement|reflectance|spectra\w*|values?|data|y
 _QUANTITY = re.compile(r"(?:measurement )?(?:quantity|type)|measurement", re.IGNORECASE)
 _PROCESSING = re.compile(r"(?:data[ _])?process\w*|transform\w*", re.IGNORECASE)
 _MISSING = {"na", "n/a", "nan", "null", "none", "-"}
-_MIN_BANDS, _MAX_CELLS = 3, 4_000_000
+#: Headings of bands as other programs write them: ``0.35 um``, ``wl_350``, ``R350``, ``Reflectance_350``.
+_BAND_HEADING = re.compile(
+    r"(?:x|wl|wvl|wavelength|nm|r|refl(?:ectance)?)?[ _.]?(\d{1,5}(?:[.,]\d{1,6})?)"
+    r"\s*(?:[(\[]?(?:nm|[uµμ]m)[)\]]?)?",
+    re.IGNORECASE,
+)
+_MIN_BANDS, _MAX_CELLS, _MAX_UM = 3, 4_000_000, 100.0
 _MAX_SHOWN_ROWS = 5
 
 
 def _bands(lines: Sequence[str]) -> Bools | None:
     # Return which columns of a row a spectrum are wavelengths by their headings; None for other tables.
-    cells = _cells(lines[0])
-    nm = np.array([np.nan if (value := _nm(cell)) is None else value for cell in cells])
+    cells, following = _cells(lines[0]), _cells(lines[1]) if len(lines) > 1 else [""]
+    nm = np.array([_nm(cell, NM_HEADING) for cell in cells])
+    if is_worded := int(np.isfinite(nm).sum()) < _MIN_BANDS:
+        nm = np.array([_nm(cell) for cell in cells])
     is_band = np.isfinite(nm)
     steps = np.diff(nm[is_band])
-    if is_band[0] or steps.size < _MIN_BANDS - 1 or not ((steps > 0).all() or (steps < 0).all()):
+    is_number = [number(cell.replace(",", ".") or "-") is not None for cell in following]
+    # a spectrum with a name; numbers alone may be columns of spectra whose names resemble wavelengths
+    has_name = not all(numeric for numeric, band in zip(is_number, is_band, strict=False) if not band)
+    if (
+        steps.size < _MIN_BANDS - 1
+        or not ((steps > 0).all() or (steps < 0).all())
+        or ((is_worded or is_band[0]) and not has_name)
+    ):
         return None
     # names of spectra may be numbers too, above a first column of wavelengths
-    following = _cells(lines[1]) if len(lines) > 1 else [""]
-    is_plain = (
-        is_band[1:].all() and cells[0] != "" and number(following[0].replace(",", ".") or "-") is not None
-    )
+    is_plain = is_band[1:].all() and cells[0] != "" and is_number[0]
+    low, high = nm[is_band].min(), nm[is_band].max()
     in_um = any(_WAVELENGTH_UNITS.fullmatch(cell) for cell in cells)
-    return is_band if not is_plain and (nm[is_band].min() >= MIN_NM or in_um) else None
+    in_um |= bool(has_name and low >= MIN_NM / 1e3 and high < _MAX_UM and (nm[is_band] % 1.0).any())
+    return is_band if not is_plain and (low >= MIN_NM or in_um) else None
 
 
-def _nm(text: str) -> float | None:
-    # Return the wavelength of a heading; None for other headings.
-    match = NM_HEADING.fullmatch(text.strip())
-    return None if match is None else float(match[1].replace(",", "."))
+def _nm(text: str, pattern: re.Pattern[str] = _BAND_HEADING) -> float:
+    # Return the wavelength of a heading [nm, or um without a unit]; NaN for other headings.
+    match = pattern.fullmatch(text.strip())
+    factor = 1e3 if text.rstrip(")] ").lower().endswith(("um", "µm", "μm")) else 1.0
+    return np.nan if match is None else float(match[1].replace(",", ".")) * factor
 
 
 def _cells(line: str) -> list[str]:
@@ -179,10 +194,10 @@ def read_sample_table(
         # A table of SPECCHIO becomes one of a row a spectrum. Its texts may contain commas,
         # so that a row of a property may have more cells than there are spectra.
         band_rows = sorted(
-            ((band_nm, row) for row in rows if row and (band_nm := _nm(row[0])) is not None),
+            ((band_nm, row) for row in rows if row and np.isfinite(band_nm := _nm(row[0], NM_HEADING))),
             key=lambda b: b[0],
         )
-        fields = [row for row in rows if row and row[0].strip() and _nm(row[0]) is None]
+        fields = [row for row in rows if row and row[0].strip() and np.isnan(_nm(row[0], NM_HEADING))]
         count = len(band_rows[0][1]) - 1 if band_rows else 0
         refuse(
             source,
@@ -205,7 +220,7 @@ def read_sample_table(
             for row in fields
         ]
         rows = [list(column) for column in zip(*fields, *(row for _, row in band_rows), strict=True)]
-        is_band = np.array([_nm(heading) is not None for heading in rows[0]])
+        is_band = np.isfinite([_nm(heading, NM_HEADING) for heading in rows[0]])
     assert is_band is not None
     bands, others = np.flatnonzero(is_band).tolist(), np.flatnonzero(~is_band).tolist()
     headings, *records = ([cell.strip() for cell in row] for row in rows)

@@ -1051,6 +1051,14 @@ def test_columns_that_are_no_reflectance_are_refused(
     expect_errors((FormatError, code, lambda: hp.open_library(path)))
 
 
+@pytest.mark.parametrize(
+    "names", [["R401", "R402", "R403"], ["0.5", "1", "2"], ["wl_500", "wl_600", "wl_700"]]
+)
+def test_names_of_columns_that_resemble_wavelengths_are_names(names: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "x.csv", f"index,wavelength,{','.join(names)}", ROW, NMS, A, B, A)
+    assert hp.open_library(path)["signature"].values.tolist() == names
+
+
 def test_rows_of_statistics_and_empty_rows_are_no_paints(tmp_path: Path) -> None:
     rows = [["name", *map(str, NMS)], *([name, *["0.3"] * 61] for name in ("mean", "std")), [""] * 62]
     path = write_text(tmp_path, "\n".join(map(",".join, rows)), "rows.csv")

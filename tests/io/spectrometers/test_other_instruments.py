@@ -128,6 +128,19 @@ REFLECTANCES: dict[str, tuple[str, str, dict[str, Any]]] = {
         + "\n" + "door;micrometers;" + ";".join(["0,25"] * NM.size) + "\n",
         {},
     ),
+    **{
+        f"a row a spectrum, {form}": (
+            "e.csv",
+            "name," + ",".join(form.format(x, x / 1e3) for x in NM) + "\ndoor" + ",0.25" * NM.size + "\n",
+            {},
+        )
+        for form in ("{1:g}", "{1:g} um", "wl_{0:g}", "nm{0:g}", "R{0:g}", "Reflectance_{0:g}")
+    },
+    "a row a spectrum, name last": (
+        "e.csv",
+        ",".join(f"{x:g}" for x in NM) + ",name\n" + "0.25," * NM.size + "door\n",
+        {},
+    ),
     "headings of R": (
         "e.csv",
         '"","sample_name",' + ",".join(f'"X{x:g}"' for x in NM)
