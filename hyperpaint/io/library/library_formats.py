@@ -258,15 +258,14 @@ def read_sample_table(
     quantity, value_units = _shared_words(properties, _QUANTITY), _shared_words(properties, _VALUE_UNITS)
     names = _names(properties, path, len(records))
     statistics = statistics_among(names) if any(map(MEAN.search, names)) else []
-    if statistics:
-        warn_of(
-            f"rows {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out",
-            [source],
-            "columns-left-out",
-        )
-        is_kept = [name not in statistics for name in names]
-        names, values = [name for name in names if name not in statistics], values[is_kept]
-        properties = {key: list(itertools.compress(cells, is_kept)) for key, cells in properties.items()}
+    warn_of(
+        f"rows {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out",
+        [source] if statistics else [],
+        "columns-left-out",
+    )
+    is_kept = [name not in statistics for name in names]
+    names, values = list(itertools.compress(names, is_kept)), values[is_kept]
+    properties = {key: list(itertools.compress(cells, is_kept)) for key, cells in properties.items()}
     processing = _shared_words(properties, _PROCESSING)  # may also name what reflectance was made of
     texts = [*filter(foreign_quantity, (quantity, value_units)), *filter(TRANSFORMED.search, [processing])]
     other = next(iter([*texts, *filter(other_quantity, names)]), "")
@@ -386,7 +385,8 @@ def open_library(
         * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
           table with wavelengths in its first column: several files with equal wavelengths become one
           library;
-        * CSV of EcoSIS (a row a spectrum) or SPECCHIO, with the properties of the samples as columns; text of
+        * CSV of EcoSIS (a row a spectrum, below headings such as ``350``, ``0.35 um``, ``wl_350`` or
+          ``R350``) or SPECCHIO, with the properties of the samples as columns; text of
           a field spectrometer (Spectral Evolution, Ocean Optics, Avantes) with reflectance;
         * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
         * files of `hyperpaint.write_library`, including CSV and Zarr; any Zarr (folder, zip file, URL or
@@ -423,7 +423,7 @@ def open_library(
     PaintWarning
         The library is of hyperpaint 0.2 or before: its dimension `paint` is renamed `signature`. Names or
         metadata are missing, or an inferred property may make values wrong. Spectra have the oxygen band of
-        sunlight, as radiance and irradiance do.
+        sunlight, as radiance and irradiance do. Rows of standard deviations are left out.
 
     Examples
     --------

@@ -95,7 +95,13 @@ from hyperpaint.io.files.reading import (
     text_of_cell,
     unique_names,
 )
-from hyperpaint.io.spectrometers.spectrum_texts import MEAN, SPREAD, heading_cells, statistics_among
+from hyperpaint.io.spectrometers.spectrum_texts import (
+    MEAN,
+    SPREAD,
+    STATISTIC,
+    heading_cells,
+    statistics_among,
+)
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.
@@ -1031,7 +1037,7 @@ def read_plain_table(
     if not is_reflectance:
         # neither headings nor the lines above may name radiance, irradiance, counts or transmittance
         names = [name.strip() for name in headings[1:]]
-        others = [name for name in statistics_among(names) if not SPREAD.search(name)]
+        others = [n for n in statistics_among(names) if STATISTIC.fullmatch(n) or not SPREAD.search(n)]
         named = [name for name in names if foreign_quantity(name) or name in others]
         FormatError.raise_if(
             named,

@@ -894,13 +894,18 @@ def _checked_reflectance(content: AsdText) -> Floats:
     # Return the values of a table of any program as fractions, by its headings and with the checks of
     # `hyperpaint.open_library`; NaN for fill values.
     named = [name for name in content.spectra if foreign_quantity(name)]
-    fault = Problem(
-        f"column headings name {', '.join(map(repr, named[:5]))}",
-        expected="reflectance",
-        mend="remove these columns, or pass their quantity=",
-        code="quantity-wrong",
+    refuse(
+        content.name,
+        (
+            named,
+            Problem(
+                f"column headings name {', '.join(map(repr, named[:5]))}",
+                expected="reflectance",
+                mend="remove these columns, or pass their quantity=",
+                code="quantity-wrong",
+            ),
+        ),
     )
-    refuse(content.name, (named, fault))
     is_percent = np.array([PERCENT.search(name) is not None for name in content.spectra])
     is_percent |= content.is_percent
     values = content.values / np.where(is_percent, 100.0, 1.0)[:, None]
@@ -1119,7 +1124,9 @@ def open_asd(
     quantity
         ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
         the quantity displayed to the operator, which binary files hold; for a text export it is guessed
-        from the range of the operator's plot, with a warning.
+        from the range of the operator's plot, with a warning. ``reflectance`` of a table without a sentence
+        or an ``.asd`` name of the vendor's software is checked as by `hyperpaint.open_library`: its headings
+        may state percent and no other quantity.
     absolute
         Multiply reflectance, which is relative to the white panel, by the panel's own (the block ABS).
     utc_offset_h

@@ -273,8 +273,9 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     Raises
     ------
     FormatError
-        The file is not such a table, a heading contains a unit of another dimension, or values are not
-        fractions; percent without a heading that says so is refused, and fractions under percent.
+        The file is not such a table, a heading contains another quantity or a unit of another dimension, or
+        values are not fractions; percent without a heading that says so is refused, and fractions under
+        percent.
 
     Examples
     --------

@@ -849,7 +849,7 @@ WRONG_LIBRARIES = [
     Case("a variance", rows(GREY, 0.01 * GREY, heading="nm,hood,variance"), "variance"),
     *[
         Case(f"statistics {names}", rows(GREY, GREY / 9, GREY / 8, heading=f"nm,{names}"), "quantity-wrong")
-        for names in ("mean,SE,CV", "Reflectance,lower95,upper95", "min,max,mean", "R,quality_flag,hood")
+        for names in ("mean,SE,CV", "Reflectance,lower95,upper95", "min,max,mean", "R,std error,quality_flag")
     ],
     Case("two spectra one below the other", tabled(np.tile(NM, 2), np.tile(GREY, 2)), "occur twice"),
     Case("wavelengths rounded", tabled(np.round(NM / 1e3, 2), GREY, heading="um,reflectance"), "twice"),
