@@ -154,8 +154,9 @@ def _bands(lines: Sequence[str]) -> Bools | None:
     # names of spectra may be numbers too, above a first column of wavelengths
     is_plain = is_band[1:].all() and cells[0] != "" and is_number[0]
     low, high = nm[is_band].min(), nm[is_band].max()
-    in_um = any(_WAVELENGTH_UNITS.fullmatch(cell) for cell in cells)
-    in_um |= bool(has_name and low >= MIN_NM / 1e3 and high < _MAX_UM and (nm[is_band] % 1.0).any())
+    in_um = any(map(_WAVELENGTH_UNITS.fullmatch, cells)) or (
+        has_name and low >= MIN_NM / 1e3 and high < _MAX_UM and (nm[is_band] % 1.0).any()
+    )
     return is_band if not is_plain and (low >= MIN_NM or in_um) else None
 
 
@@ -544,9 +545,12 @@ def _head(path: Path) -> str:
 
 
 def _opened(path: Path, options: _Options) -> xr.Dataset:
-    if not path.is_file():
-        fault = "not a regular file" if os.path.lexists(path) else "no such file"
-        raise FormatError(f"{path}: {fault}", expected="a spectral library", code="file-not-found")
+    FormatError.raise_if(
+        not path.is_file(),
+        f"{path}: {'not a regular file' if os.path.lexists(path) else 'no such file'}",
+        expected="a spectral library",
+        code="file-not-found",
+    )
     suffix = path.suffix.lower()
     nm, fwhm, scale, is_reflectance = options
     try:
@@ -793,13 +797,13 @@ def write_library(
     """
     path = as_path(path)
     suffix = path.suffix.lower()
-    chosen = _FORMAT_OF_SUFFIX.get(suffix) if format is None else format
-    if chosen not in _WRITERS:
-        raise FormatError(
-            f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}",
-            expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
-            code="choice-unknown",
-        )
+    chosen = _FORMAT_OF_SUFFIX.get(suffix, "") if format is None else format
+    FormatError.raise_if(
+        chosen not in _WRITERS,
+        f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}",
+        expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
+        code="choice-unknown",
+    )
     SchemaError.raise_if(
         curves not in (None, "centre", "all"),
         f"curves={curves!r}",

@@ -741,14 +741,12 @@ def restored(
         )
         data[variable] = np.full((paints, *(() if members == 0 else (members,)), bands), np.nan, np.float32)
     sidecar = metadata_path(path)
-    about = None
-    if sidecar.exists():
-        about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands})
-    else:
-        warn_user(
-            f"{source}: {sidecar.name} is missing: names and columns are from the file, without units",
-            "metadata-missing",
-        )
+    about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands}) if sidecar.exists() else None
+    warn_if(
+        about is None,
+        f"{source}: {sidecar.name} is missing: names and columns are from the file, without units",
+        "metadata-missing",
+    )
     for first, block in rows:
         records = slice(first, first + len(block))
         for position, values in enumerate(data.values()):
@@ -757,12 +755,13 @@ def restored(
             values[(paint,) if values.ndim == 2 else (paint, inner)] = block[is_here]
     library = _with_metadata(data, axes, names, about, source)
     stored_columns = {} if about is None else table_columns(library)
-    if edited := [name for name, cells in columns.items() if list(cells) != stored_columns.get(name, cells)]:
-        warn_user(
-            f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
-            "the table",
-            "metadata-differ",
-        )
+    edited = [name for name, cells in columns.items() if list(cells) != stored_columns.get(name, cells)]
+    warn_if(
+        edited,
+        f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
+        "the table",
+        "metadata-differ",
+    )
     # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}

@@ -685,14 +685,16 @@ def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:
             mend="write such a csv, or pass an xarray object with the dims time and wavelength",
             code="format-unknown",
         )
-        svc = Problem(
-            "a file of an SVC spectrometer",
-            mend="open it with hp.open_svc, and pass its irradiance with .swap_dims(spectrum='time')",
-            code="format-unknown",
-        )
         refuse(
             path.name,
-            (kind == "scans", svc),
+            (
+                kind == "scans",
+                Problem(
+                    "a file of an SVC spectrometer",
+                    mend="open it with hp.open_svc, and pass its irradiance with .swap_dims(spectrum='time')",
+                    code="format-unknown",
+                ),
+            ),
             (is_file, (foreign_format(path) if is_file else None) or unknown),
             (exists, Problem("a pipe, a device or a broken link", code="file-not-plain")),
             (True, Problem("no such file", code="file-not-found")),
@@ -1060,11 +1062,11 @@ def utc_offsets(
     )
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
-        if set(sources_by_offset) - {utc_offset_h}:
-            warn_user(
-                f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}",
-                "utc-offset-conflict",
-            )
+        warn_if(
+            set(sources_by_offset) - {utc_offset_h},
+            f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}",
+            "utc-offset-conflict",
+        )
         return [utc_offset_h] * len(spectra)
     TimeError.raise_if(
         one_clock and len(sources_by_offset) > 1,

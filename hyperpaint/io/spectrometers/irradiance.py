@@ -641,11 +641,11 @@ def _from_files(
         spectra = mask_undefined(spectra, "irradiance")
         return _from_spectra(spectra, utc_offset_h, units, one_clock=False, fwhm=tables[0].fwhm_nm)
     is_declared = quantity is not None
-    if quantity is None and "text" not in kinds:
-        quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
     are_texts = "instrument" in kinds
-    if are_texts and units is not None and quantity is None:
-        quantity = "irradiance"  # units of light declare what a column without a heading is
+    # binary files yield irradiance by their calibration, whatever quantity was displayed; units of light
+    # declare what a column without a heading is
+    if quantity is None and ("text" not in kinds or (are_texts and units is not None)):
+        quantity = "irradiance"
     spectra, file_quantity = read_spectra(
         files, quantity, calibration=calibration, is_declared=is_declared, units=units
     )
