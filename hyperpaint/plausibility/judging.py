@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import (
+    ALONG_TRACK,
     ANGLES,
     BAND,
     CROSS_TRACK,
@@ -227,7 +228,8 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
         blamed = (
             f"the irradiance record, which has {product.share:.2g} of a clear sky's light"
             if is_record
-            else "the gain of the calibration, the exposure time, the bit depth or the irradiance"
+            else "the gain of the calibration, the exposure time, the bit depth, the unit of radiance or the "
+            "irradiance"
         )
         found += f", and the camera saturates at {full_scale:.2g}" * is_short + (
             f": likely {blamed}, by a factor of about {factor:.2g}; known slips of this size: {slips}"
@@ -552,8 +554,8 @@ _ROWS = (
     Kind(
         "reflectance-level",
         "Reflectance of sampled lines does not suit its colour: an input may be wrong by a factor.",
-        "check scale and unit of calibration, exposure time, bit depth and irradiance; nothing for glint or "
-        "slopes to a low sun",
+        "check scale and unit of calibration, radiance, exposure time, bit depth and irradiance; nothing for "
+        "glint or slopes to a low sun",
         refused=False,
     ),
     Kind(
@@ -1484,6 +1486,21 @@ def judge_line(
     yield from judge_navigation(name, line)
     for inputs in cubes:
         yield from _judge_cube(line, inputs)
+    if lit and {"radiance", "irradiance", "wavelength"} <= set(line.variables):
+        # the level of a vendor's radiance, as of calibrated counts
+        radiance = line["radiance"].transpose(ALONG_TRACK, BAND, CROSS_TRACK)
+        lines, shape = SAMPLE_RULES.lines, radiance.shape[1:]
+        starts = np.linspace(0, max(len(radiance) - lines, 0), SAMPLE_RULES.blocks).astype(int)
+        with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # lost lines and bad bands
+            means = [
+                np.nanmean(radiance[start : start + lines].to_numpy(), axis=0) for start in starts.tolist()
+            ]
+            blocks = np.stack(means).astype(np.float64)
+            sample = CubeSample(lines, blocks[0], blocks.max(axis=0), 1, np.zeros(shape, bool), blocks)
+            product = _product(line, sample, np.zeros(shape), np.ones(shape), 5.0, math.inf)
+            verdicts = [] if product.reflectance is None else _level(product, product.reflectance)[0]
+        for verdict in verdicts:
+            yield Finding(KINDS[verdict.kind], name, verdict.found, verdict.expected, verdict.passes)
 
 
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
@@ -1589,7 +1606,7 @@ def _product(
         share, zenith = level.median / level.clear, level.zenith
         daylight = _Daylight(wavelength, fwhm, (channels, np.nanmean(spectra, axis=0))).irradiance_at
         if line.attrs.get("absolute_scale") != "unknown":
-            exposure = float(np.nanmean(line["exposure_time"].values))
+            exposure = float(np.nanmean(line["exposure_time"].values)) if "counts" in line else 1.0
             light_of_bands = np.where(daylight(wavelength) > 0.0, daylight(wavelength), np.nan)
             per_count = np.pi * gain / (exposure * light_of_bands[:, None])
             reflectance = per_count * light

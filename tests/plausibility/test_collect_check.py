@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from campaigns import judged_collects
 from click.testing import CliRunner
 from support.plausible_collects import FAULTS, RECIPES, right_collect, wrong_collect
@@ -80,6 +81,39 @@ def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp
     assert refused.exit_code == 2
     assert "--accept dark-of-zeros" in refused.output
     assert CliRunner().invoke(main, [*call, "--accept", "dark-of-zeros"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("factor", "stated", "code"),
+    [
+        (100.0, None, None),
+        (1.0, None, "level"),
+        (1e6, None, "impossible"),
+        (100.0, "W m-2 sr-1 nm-1", "units-conflict"),
+    ],
+)
+def test_the_level_of_a_radiance_cube_is_judged(
+    collect: Path, factor: float, stated: str | None, code: str | None
+) -> None:
+    # the header says uW cm-2, so that 100 is the right factor
+    flight, text = collect.parent / "flight", collect.read_text()
+    counts, dark = (
+        np.fromfile(collect.parent / place / "raw_0", "<u2").reshape(-1, 40, 24).astype("f4")
+        for place in ("flight", "dark")
+    )
+    gain = xr.open_zarr(collect.parent / "calibration.zarr")["radiance_gain"].values
+    (factor * (counts - dark.mean(axis=0)) * gain / 0.005).astype("<f4").tofile(flight / "raw_0")
+    header = (flight / "raw_0.hdr").read_text().replace("data type = 12", "data type = 4")
+    header = header.replace("III]}", "III],RADIANCE}") + ";Units = uW cm-2 sr-1 nm-1\n"
+    (flight / "raw_0.hdr").write_text(header)
+    text = text.replace("[calibration]\npath", "[dark]\n#").replace("[dark]\ncubes", "#")
+    extra = f"fwhm_nm = 6.0\n{'' if stated is None else f'radiance_units = {stated!r}'}\n"
+    collect.write_text(text.replace("bit_depth = 12\n", extra))
+    if code == "units-conflict":
+        expect_errors((CollectError, code, lambda: check_collect(collect)))
+    else:
+        names = [finding.kind.name for finding in check_collect(collect)]
+        assert names == ([] if code is None else [f"reflectance-{code}"])
 
 
 def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_path: Path) -> None:

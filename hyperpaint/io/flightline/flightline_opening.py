@@ -1013,7 +1013,8 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
             code="quantity-wrong",
         )
     cube = opened[name]
-    units = inputs.radiance_units or cube.attrs.get("units")
+    stated = cube.attrs.get("units")
+    units = inputs.radiance_units or stated
     refuse(
         str(path),
         (
@@ -1042,6 +1043,14 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
                 "radiance without units",
                 mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
                 code="units-missing",
+            ),
+        ),
+        (
+            name == "radiance" and stated and conversion_factor(str(stated), str(units)) != 1.0,
+            Problem(
+                f"radiance_units is {units!r}, but its header says {stated!r}",
+                mend="correct one of them",
+                code="units-conflict",
             ),
         ),
     )
