@@ -615,6 +615,8 @@ _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli"
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
 # Headwall's recorder writes its name; its software adds the processing level
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
+# Words of a product, which may name the raw data that it comes from
+_PRODUCT = re.compile(r"\b(?:radiance|reflectance|albedo)\b|\bnot (?:raw|counts|dn)\b", re.IGNORECASE)
 _COUNT_UNITS = ("count", "counts", "dn", "digital number", "digital numbers", "digital counts", "adu")
 _QUANTITIES = ("counts", "radiance", "reflectance", "values")
 
@@ -893,9 +895,9 @@ def open_envi(
     A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) takes precedence over
     Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
     products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
-    raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
-    without a level; maps only by units of counts. Scaled products of other software without such a word are
-    ``values``.
+    raw, counts or DN in a description that names no product such as reflectance, by units of counts, or by a
+    description of Headwall's recorder without a level; maps only by units of counts. Scaled products of other
+    software without such a word are ``values``.
 
     Examples
     --------
@@ -969,6 +971,17 @@ def open_envi(
         doubts.append(
             "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
             "'values'; add for example 'reflectance scale factor = 10000' to the header"
+        )
+    is_undeclared = quantity is None and _declared_quantity(header)[0] is None
+    if (
+        is_undeclared
+        and header.map_info is None
+        and header.dtype.kind in "iu"
+        and _is_of_raw(header) is False
+    ):
+        doubts.append(
+            f"the description {shown(header.description)} names raw counts and a product: the integers are "
+            f"opened as {unsaid!r}; pass quantity=, or state the quantity in the header"
         )
     if lines != header.lines:
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
@@ -1102,6 +1115,12 @@ def _level(header: EnviHeader) -> str | None:
     return str(levels[-1]).lower() if levels else None
 
 
+def _is_of_raw(header: EnviHeader) -> bool | None:
+    # Return whether words of the description name raw counts; False where they name a product, too.
+    text = header.description[:10_000]
+    return None if _RAW.search(text) is None else _PRODUCT.search(text) is None
+
+
 def _is_unscaled(header: EnviHeader) -> bool:
     # Return whether the header declares integers as reflectance without a scale.
     return (
@@ -1179,7 +1198,7 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # raw counts, by units, description or level
     has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
     # a map is a product of other software, whose description still names the recorder
-    in_words = level == "counts" or _RAW.search(header.description[:10_000])
+    in_words = level == "counts" or _is_of_raw(header)
     is_raw = has_count_units or (in_words and header.map_info is None)
     is_cube = is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES
     return "counts" if is_cube and is_raw else None, None

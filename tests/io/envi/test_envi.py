@@ -473,6 +473,23 @@ def test_integers_called_reflectance_need_a_scale(tmp_path: Path) -> None:
     assert (list(line.data_vars), line["values"].dtype) == (["values"], np.uint16)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Surface reflectance x 10000, derived from raw data",
+        "radiance converted from DN, uW/cm2/sr/nm x 1000",
+        "[HEADWALL Hyperspec III] reflectance",
+        "not raw",
+        "Albedo from counts",
+    ],
+)
+def test_a_product_of_raw_counts_is_no_counts(tmp_path: Path, text: str) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), f"description = {{{text}}}")
+    with pytest.warns(PaintWarning, match="header-doubtful"):
+        assert list(open_envi(header).data_vars) == ["values"]
+    assert list(open_envi(header, quantity="counts").data_vars) == ["counts"]
+
+
 def test_radiance_units_convert_through_the_schema(tmp_path: Path) -> None:
     line = open_envi(write_cube(tmp_path / "toy", toy("f4"), "description = {x,RADIANCE}", _RADIANCE_UNITS))
     found = schema.require(line, ["radiance"], "reflectance")["radiance"]
