@@ -580,11 +580,11 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         reader.note("map info is 'Arbitrary': taken as sensor geometry")
     if not text or items[0].lower() == "arbitrary":
         return None
-    options = dict(item.lower().split("=", 1) for item in items if "=" in item)
+    options = dict(map(str.strip, item.lower().split("=", 1)) for item in items if "=" in item)
     entries = [item for item in items if "=" not in item]
     try:
         column, row, x, y, width, height = map(_to_float, [*entries[1:7], *[""] * (7 - len(entries))])
-        rotation = _to_float(options.get("rotation", "0").strip())
+        rotation = _to_float(options.get("rotation", "0"))
     except ValueError as error:
         reader.add(
             f"'map info' is {shown(text)} ({error})",
@@ -606,7 +606,7 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         reference=(x, y),
         pixel_size=(width, height),
         details=tuple(entries[7:]),
-        units=options.get("units", "").strip(),
+        units=options.get("units", ""),
         rotation=rotation,
     )
 

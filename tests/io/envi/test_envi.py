@@ -582,10 +582,11 @@ def test_map_geometry(tmp_path: Path) -> None:
     assert line.attrs["map_info"].startswith("{UTM")
     np.testing.assert_array_equal(array.sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1])
     # a rotated map has no one-dimensional coordinates
-    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM.replace("}", ", rotation=30}")))
-    assert line["values"].dims == ("y", "x", "band")
-    assert not {"x", "y"} & set(line.coords)
-    assert "rotation=30" in line.attrs["map_info"]
+    for rotation in ("rotation=30", "rotation = 30"):
+        line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM.replace("}", f", {rotation}}}")))
+        assert line["values"].dims == ("y", "x", "band")
+        assert not {"x", "y"} & set(line.coords)
+        assert rotation in line.attrs["map_info"]
     # an arbitrary one is sensor geometry
     info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
     assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info))["values"].dims == schema.CUBE
