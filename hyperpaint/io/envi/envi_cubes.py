@@ -296,9 +296,10 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     )
     scale = reader.number("reflectance scale factor")
     reader.add_if(
-        scale is not None and not (math.isfinite(scale) and scale > 0),
+        scale is not None and not 1.0 <= scale < math.inf,
         f"'reflectance scale factor' is {scale}",
-        expected="a number above 0",
+        expected="the stored value of a reflectance of 1, such as 10000",
+        mend="write its inverse, if it is a factor of the samples",
         code="value-out-of-range",
     )
     # integers stay integers: float64 cannot hold all 64-bit integers
@@ -1183,11 +1184,12 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # Return the quantity that the header declares, and its units of radiance; None if undeclared.
     if _is_unscaled(header):
         return "values", None
-    # Headwall's comment on units, if it can be read as units
+    # Headwall's comment on units, or ENVI's key, if it can be read as units of radiance
     comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
-    unit_text = comment.replace("^", "").strip()
-    is_radiance = unit_text and same_dimension(unit_text, VARIABLES["radiance"].units)
-    radiance_units = unit_text if is_radiance else None
+    stated = header.fields.get("data units", comment)
+    texts = [text.replace("^", "").strip() for text in (comment, bare(stated))]
+    of_radiance = (text for text in texts if text and same_dimension(text, VARIABLES["radiance"].units))
+    radiance_units = next(of_radiance, None)
     level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
     if level is None and scale is not None and (scale != 1.0 or not is_integer):
         level = "reflectance"
@@ -1196,7 +1198,7 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     if level in ("reflectance", "radiance"):
         return level, radiance_units
     # raw counts, by units, description or level
-    has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    has_count_units = bare(stated).strip().lower() in _COUNT_UNITS
     # a map is a product of other software, whose description still names the recorder
     in_words = level == "counts" or _is_of_raw(header)
     is_raw = has_count_units or (in_words and header.map_info is None)
