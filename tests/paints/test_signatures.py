@@ -66,6 +66,14 @@ def test_a_library_is_what_numpy_makes_of_the_pixels() -> None:
         assert np.abs(np.array(expected) - plain).max() > 0.002
 
 
+@pytest.mark.parametrize("factor", [1e4, 1e-4])
+def test_a_scale_that_no_surface_has_is_named(factor: float) -> None:
+    line = made()
+    line = line.assign(reflectance=(line.reflectance * factor).assign_attrs(line.reflectance.attrs))
+    with pytest.warns(hp.errors.PaintWarning, match="scale-doubtful"):
+        extract_signatures(line, TWO)
+
+
 def test_members_are_pixels_of_the_region() -> None:
     line = made()
     library = extract_signatures(line, TWO, members=20)

@@ -574,6 +574,8 @@ EXCLUDED = (
     | Quality.MIXED_EDGE
 )
 
+#: Reflectance that the brightest band of a library exceeds, and that no median of a surface exceeds [1].
+PLAUSIBLE_RANGE = (5e-4, 2.0)
 #: Flags of lines whose light may differ from the record: excluded where a region has other pixels.
 UNSTEADY = Quality.ILLUMINATION_UNSTABLE | Quality.TIMING_SENSITIVE
 
@@ -695,9 +697,9 @@ def extract_signatures(
     -----
     PaintWarning
         All pixels of a region are of lines with unsteady light; clouds were broken over a region that was not
-        proposed; or flags of the scene are excluded, but a
-        line was not searched for them (`hyperpaint.surroundings.flag`): the attribute ``exclude`` lists only
-        flags that were searched in all lines.
+        proposed; no surface has such reflectance, as with a wrong scale; or flags of the scene are excluded,
+        but a line was not searched for them (`hyperpaint.surroundings.flag`): the attribute ``exclude``
+        lists only flags that were searched in all lines.
 
     Notes
     -----
@@ -867,6 +869,14 @@ def extract_signatures(
     }
     library = paint_library(
         remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, notes
+    )
+    spectra = np.nan_to_num(library["reflectance"].values[:, library["good"].values.astype(bool)])
+    level, brightest = np.median(spectra, axis=1).max(initial=0.0), spectra.max(initial=0.0)
+    warn_if(
+        level > PLAUSIBLE_RANGE[1] or 0.0 < brightest < PLAUSIBLE_RANGE[0],
+        f"the reflectance of the signatures is up to {brightest:.3g}, their highest median {level:.3g}: no "
+        "surface has this; check the scale of the line, such as 'reflectance scale factor' of an ENVI header",
+        "scale-doubtful",
     )
     if sun_zenith is not None:  # takes precedence over the clock
         library = library.assign(
