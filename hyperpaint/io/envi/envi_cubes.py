@@ -21,6 +21,7 @@ memory of a few blocks. Header and data are published together, the header last.
 """
 
 import errno
+import filecmp
 import io
 import itertools
 import json
@@ -581,7 +582,9 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         reader.note("map info is 'Arbitrary': taken as sensor geometry")
     if not text or items[0].lower() == "arbitrary":
         return None
-    options = dict(map(str.strip, item.lower().split("=", 1)) for item in items if "=" in item)
+    options = {
+        key.strip(): value.strip() for key, _, value in (i.lower().partition("=") for i in items if "=" in i)
+    }
     entries = [item for item in items if "=" not in item]
     try:
         column, row, x, y, width, height = map(_to_float, [*entries[1:7], *[""] * (7 - len(entries))])
@@ -613,6 +616,8 @@ def _map_info(reader: _Reader) -> MapInfo | None:
 
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
+# of cameras and programs, looked for where none of the others is there
+_RARE_SUFFIXES = (".hyspex", ".float", ".cube", ".rad", ".ref", ".rfl")
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
 # Headwall's recorder writes its name; its software adds the processing level
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
@@ -795,8 +800,8 @@ def _selector(positions: Ints) -> slice | Ints:
 def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     # Return the header and the data file that belong together.
     # ``path``: header or data file. A header ``raw_0.hdr`` belongs to ``raw_0``, or to that name with one of
-    # the suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file belongs to its name and ``.hdr``, with
-    # its suffix or without.
+    # the suffixes .img .dat .raw .bil .bip .bsq .bin .sli, or a rarer one; a data file belongs to its name
+    # and ``.hdr``, with its suffix or without.
     # Returns header, data: paths in the spelling of the caller.
     # Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`: There is no
     # such file.
@@ -821,13 +826,22 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
             expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
             code="header-missing",
         )
+        warn_if(
+            not filecmp.cmp(headers[0], headers[-1], shallow=False),
+            f"{path.name}: {headers[0].name} is used, and {headers[-1].name} differs from it; open the "
+            "header that you mean, or delete the other",
+            "header-doubtful",
+        )
         return headers[0], path
-    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-    candidates = existing([""], bare_path) or existing(suffixes, bare_path)
+    candidates: list[Path] = []
+    for suffixes in ([""], _DATA_SUFFIXES, _RARE_SUFFIXES):
+        spellings = [suffix for lower in suffixes for suffix in (lower, lower.upper())]
+        candidates = candidates or existing(spellings, bare_path)
     FormatError.raise_if(
         not candidates,
         f"ENVI header {str(path)!r} has no data file beside it",
-        expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+        expected=f"{bare_path.name!r}, with no suffix or with one of "
+        f"{' '.join(_DATA_SUFFIXES + _RARE_SUFFIXES)}",
         code="data-file-missing",
     )
     FormatError.raise_if(

@@ -611,7 +611,7 @@ def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) ->
         ("raw_0.hdr", "raw_0"), ("raw_0.HDR", "raw_0"), ("a.hdr", "a.img"), ("a.hdr", "a.DAT"),
         ("a.hdr", "a.raw"), ("a.hdr", "a.bil"), ("a.hdr", "a.bip"), ("a.hdr", "a.bsq"),
         ("x.img.hdr", "x.img"), ("x.bil.hdr", "x.bil"), ("v1.2.hdr", "v1.2"), ("v1.2.hdr", "v1.2.img"),
-        ("toy.hdr", "toy.bin"),
+        ("toy.hdr", "toy.bin"), ("a.hdr", "a.hyspex"), ("a.hdr", "a.float"), ("a.hdr", "a.REF"),
     ],
 )  # fmt: skip
 def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> None:
@@ -621,7 +621,8 @@ def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> 
     backend = EnviBackendEntrypoint()
     for name in (header, data):
         assert find_pair(tmp_path / name) == (tmp_path / header, tmp_path / data)
-        is_guessed = not name.endswith(".bin")  # other formats have that suffix too
+        # other formats have these suffixes too
+        is_guessed = not name.endswith((".bin", ".hyspex", ".float", ".REF"))
         assert backend.guess_can_open(tmp_path / name) == is_guessed
         assert backend.guess_can_open(str(tmp_path / name)) == is_guessed
     for name in (header, data):
@@ -641,6 +642,9 @@ def test_pair_problems(tmp_path: Path) -> None:
         with pytest.raises(FormatError, match=code):
             find_pair(tmp_path / name)
     assert find_pair(tmp_path / "a.dat") == (header, tmp_path / "a.dat")
+    (tmp_path / "a.dat.hdr").write_text(header.read_text() + "band names = {}\n")
+    with pytest.warns(PaintWarning, match="header-doubtful"):
+        assert find_pair(tmp_path / "a.dat") == (tmp_path / "a.dat.hdr", tmp_path / "a.dat")
     for missing in ("nothing.hdr", "nothing", "."):
         with pytest.raises(FileNotFoundError, match="no such file"):
             find_pair(tmp_path / missing)
