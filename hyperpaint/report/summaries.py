@@ -75,7 +75,7 @@ def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
     yield from (
         ("cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {orientation}"),
         ("bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"),
-        ("crs", "unknown" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]),
+        ("crs", "unknown" if grid.wkt is None else f'{grid.wkt}""'.split('"')[1] or grid.wkt),
     )
 
 

@@ -889,9 +889,10 @@ def open_envi(
         Radiance and reflectance are float32, with reflectance scale factor or band gains and offsets applied,
         and NaN where the stored sample equals the ignore value. Integers without a scale keep their type, and
         the attribute ``data_ignore_value``. Coordinates ``wavelength`` [nm], ``fwhm`` [nm] and ``good`` on
-        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not rotated
-        (a rotated one has the attribute ``map_info`` alone). Attributes ``envi_header`` and ``envi_comments``
-        hold the whole header, as JSON text.
+        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not
+        rotated, with the attribute ``crs`` where the header states it (a rotated one has the attribute
+        ``map_info`` alone). Attributes ``envi_header`` and ``envi_comments`` hold the whole header, as JSON
+        text.
 
     Raises
     ------
@@ -1076,7 +1077,16 @@ def open_envi(
                 {"standard_name": f"projection_{axis}_coordinate", **({"units": unit} if unit else {})}
                 for axis in "xy"
             )
-        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
+        # the reference system: of WGS-84 its code, else the header's text
+        system = bare(header.fields.get("coordinate system string", ""))
+        words = ",".join((info.projection, *info.details[:3])).lower()
+        place = re.match(r"utm,0?([0-9]{1,2}),(n|s)(?:orth|outh),wgs-?84", words)
+        if place and (not system or f"wgs_1984_utm_zone_{place[1]}{place[2]}" in system.lower()):
+            system = f"EPSG:{'326' if place[2] == 'n' else '327'}{int(place[1]):02d}"
+        elif not system and re.match(r"geographic lat/lon,wgs-?84", words):
+            system = "EPSG:4326"
+        crs_attrs = {"crs": system} if system else {}
+        coords |= {"y": ("y", y, y_attrs | crs_attrs), "x": ("x", x, x_attrs | crs_attrs)}
     map_keys = ("map info", "coordinate system string") if header.map_info is not None else ()
     line_attrs: dict[str, Any] = {
         "source": data_path.name,

@@ -468,11 +468,13 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     # Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
     # ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
-    reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
+    axes = [dataset.variables.get(name) for name in ("x", "y")]
+    # maps of ENVI name their reference system at the axes alone
+    stated = {} if axes[0] is None else axes[0].attrs
+    reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref") or stated.get("crs")
     wkt = None if reference_system is None else str(reference_system)
     text = attrs.get("GeoTransform")
     transform = None if text is None else _numbers(text)
-    axes = [dataset.variables.get(name) for name in ("x", "y")]
     if any(axis is None or axis.dims != (name,) for name, axis in zip("xy", axes, strict=True)):
         planes = [dataset.variables.get(name) for name in ("east", "north")]
         has_positions = all(plane is not None and set(plane.dims) == {"y", "x"} for plane in planes)
@@ -1170,7 +1172,7 @@ def _write(
         "count": count,
         "dtype": stored.dtype.name,
         "transform": rasterio.Affine(b, c, a, e, f, d),
-        "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
+        "crs": None if grid.wkt is None else rasterio.crs.CRS.from_user_input(grid.wkt),
         "tiled": True,
         "blockxsize": TILE,
         "blockysize": TILE,

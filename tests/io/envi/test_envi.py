@@ -40,6 +40,7 @@ from hyperpaint.io.envi.envi_cubes import (
     read_header,
     slab_lines,
     slab_offsets,
+    write_envi,
 )
 
 
@@ -579,7 +580,7 @@ def test_map_geometry(tmp_path: Path) -> None:
     np.testing.assert_array_equal(array, toy("f4").transpose(0, 2, 1))
     np.testing.assert_array_equal(line.x, 500000.25 + 0.5 * np.arange(4))
     np.testing.assert_array_equal(line.y, 4000000 - 0.125 - 0.25 * np.arange(5))
-    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m"}
+    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m", "crs": "EPSG:32618"}
     assert line.attrs["map_info"].startswith("{UTM")
     np.testing.assert_array_equal(array.sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1])
     # a rotated map has no one-dimensional coordinates
@@ -599,7 +600,21 @@ def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) ->
     # the middle of column 1 (counted from 0) is column 2.5 of ENVI
     np.testing.assert_allclose(line.x.values[1], -77.5, rtol=1e-15)
     np.testing.assert_allclose(line.y.values[2], 43.1 - 1e-5, rtol=1e-15)
-    assert line.x.attrs == {"standard_name": "longitude", "units": "degrees_east"}
+    assert line.x.attrs == {"standard_name": "longitude", "units": "degrees_east", "crs": "EPSG:4326"}
+
+
+def test_the_reference_system_of_a_map_goes_on(tmp_path: Path) -> None:
+    cube = toy("f4")
+    for text, expected in (
+        ('coordinate system string = {PROJCS["WGS_1984_UTM_Zone_18N",GEOGCS[]]}', "EPSG:32618"),
+        ("coordinate system string = {LOCAL}", "LOCAL"),
+        ("", "EPSG:32618"),
+    ):
+        line = open_envi(write_cube(tmp_path / "toy", cube, _UTM, text, "wavelength = {" + "500," * 20 + "}"))
+        assert line.x.attrs["crs"] == line.y.attrs["crs"] == expected
+    header = write_envi(line, tmp_path / "again.img")
+    assert "map info = {UTM, 1, 1, 500000.0" in header.read_text()
+    assert open_envi(header).x.attrs["crs"] == "EPSG:32618"
 
 
 # --- the pair ----------------------------------------------------------------------------------------------
