@@ -50,6 +50,7 @@ from hyperpaint.io.files.reading import (
     read_limited_text,
     refuse,
 )
+from hyperpaint.io.navigation.navigation_records import GPS_EPOCH, gps_to_utc
 from hyperpaint.io.store import is_zarr, list_groups, load_group
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
@@ -92,6 +93,13 @@ _MAX_BYTES = 2**29
 #: Largest number of values in a file: three hours of an ASD instrument with one spectrum per second.
 _MAX_VALUES = 24_000_000
 _EPOCH = re.compile(r"(\d{9,10}|\d{12,13})(?:[.,]\d{1,9})?")  # seconds or milliseconds since 1970
+# Comments that are read; another value of a key is refused
+_KEYS = ("units", "fwhm_nm", "quantity", "time_scale")
+_OTHER_QUANTITY = re.compile(r"\bupwelling|(?<!ir)radiance|reflect|\bcounts\b", re.IGNORECASE)
+#: Zone in the heading of the times, such as ``UTC`` or ``GMT+2``.
+_ZONE = re.compile(
+    r"(?:utc|gmt)(?:\s*([+\-\u2212\u2013])\s*(1[0-4]|0?[0-9])(?!\d)(?::?([0-5][0-9]))?|(?!\s*[+\-\u2212\u2013]\s*\d))"
+)
 _YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
 
 
@@ -114,7 +122,8 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ``350nm``), and one row for each sample: a stamp and the values, separated by commas, semicolons or tabs;
     with semicolons and tabs also with decimal commas. A stamp is ISO 8601, seconds since 1970, or a date such
     as ``06/13/2024 10:00:00 AM`` or ``13.06.2024 10:00:00``; dates with slashes need one in the file that is
-    valid in one order alone. Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
+    valid in one order alone. Stamps without a zone have that of the heading (``time (UTC+2)``); those of
+    ``gps_time`` are GPS time. Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
 
     Returns IrradianceTable: Values (sample, wavelength), and units and spectral width from the comments.
     Raises FormatError: The file cannot be read, or its header or a row deviates from this.
@@ -152,8 +161,14 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
         # the text is split row by row, to save memory
         for line_number, line in numbered_lines(text):
             if line.startswith("#"):
-                key, _, value = line[1:].partition(":")
-                comments[key.strip().lower()] = value.strip()
+                key, _, value = (part.strip() for part in line[1:].partition(":"))
+                FormatError.raise_if(
+                    key.lower() in _KEYS and comments.setdefault(key.lower(), value) != value,
+                    f"{name}: line {line_number} says {key} {value[:40]!r}, a line before "
+                    f"{comments.get(key.lower(), '')[:40]!r}",
+                    mend="delete the wrong one",
+                    code="key-repeated",
+                )
             elif line.strip():
                 yield line_number, line.strip()
 
@@ -183,7 +198,13 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             ),
         ),
     )
-    zone = dt.UTC if "utc" in " ".join(header[:time_columns]).lower() else None
+    heading = " ".join(header[:time_columns]).lower()
+    zone: dt.timezone | None = None
+    if found := _ZONE.search(heading):
+        offset = dt.timedelta(hours=int(found[2] or 0), minutes=int(found[3] or 0))
+        is_stated = found[1] is not None or not {"not", "local"} & set(re.findall("[a-z]+", heading))
+        zone = dt.timezone(offset if found[1] == "+" else -offset) if is_stated else None
+    is_gps = "gps" in heading and "utc" not in heading and comments.get("time_scale", "").lower() != "utc"
     times: list[dt.datetime | LocalStamp] = []
     line_numbers = []
     values = np.empty((counts[separator] // len(wavelength) + 1, len(wavelength)))
@@ -195,7 +216,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
             code="row-unreadable",
         ):
-            time = _time_of_cell(" ".join(cells[:time_columns]))
+            time = _time_of_cell(" ".join(cells[:time_columns]), is_gps)
             if len(cells) != len(wavelength) + time_columns:
                 raise ValueError(f"{len(cells) - time_columns} values")
             if separator != ",":
@@ -238,6 +259,14 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             ),
         ),
         (
+            _OTHER_QUANTITY.search(comments.get("quantity", "")) is not None,
+            Problem(
+                f"'# quantity: {comments.get('quantity', '')[:40]}'",
+                expected="downwelling irradiance",
+                code="quantity-wrong",
+            ),
+        ),
+        (
             width_text is not None and not (width is not None and width > 0),
             Problem(
                 f"'# fwhm_nm: {(width_text or '')[:40]}'",
@@ -246,15 +275,21 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             ),
         ),
     )
+    if is_gps and stamps[0].tzinfo is None:
+        gps = np.array(stamps, "datetime64[ns]").astype(np.int64)
+        utc = gps_to_utc(gps).astype("datetime64[ns]").astype("datetime64[us]")
+        stamps = [stamp.replace(tzinfo=dt.UTC) for stamp in utc.tolist()]
     table, lines_of = values[: len(stamps)], tuple(line_numbers)
     return IrradianceTable(name, tuple(stamps), lines_of, wavelength, table, comments.get("units"), width)
 
 
-def _time_of_cell(text: str) -> dt.datetime | LocalStamp:
-    # Return the time of a cell; a date whose order another line may decide as it stands.
+def _time_of_cell(text: str, is_gps: bool) -> dt.datetime | LocalStamp:
+    # Return the time of a cell; a date whose order another line may decide as it stands. Times of a GPS clock
+    # have no zone.
     # Raises ValueError: The text is not a time, or lies outside `_YEARS`.
     if match := _EPOCH.fullmatch(text):
-        return dt.datetime.fromtimestamp(float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0), dt.UTC)
+        seconds = float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0) + is_gps * GPS_EPOCH / 1e9
+        return dt.datetime.fromtimestamp(seconds, dt.UTC).replace(tzinfo=None if is_gps else dt.UTC)
     try:
         time = dt.datetime.fromisoformat(text)
     except ValueError:
@@ -621,8 +656,15 @@ def _from_files(
                 mend="open them separately",
                 code="series-mismatch",
             )
+        stated = tables[0].units
+        UnitsError.raise_if(
+            units and stated and conversion_factor(stated, units) != 1.0,
+            f"units={units!r}, but {names} has {stated!r}",
+            mend="correct one of them",
+            code="units-conflict",
+        )
         units = UnitsError.raise_if_none(
-            units or tables[0].units,
+            units or stated,
             f"{names}: no units",
             mend=f"pass units=, or add a line on top, for example '# units: {default_units}'",
             code="units-missing",

@@ -405,9 +405,9 @@ def test_irradiance_beyond_float32(cell: str, tmp_path: Path) -> None:
     # RuntimeWarning: overflow encountered in cast, and inf in the series
     path = tmp_path / "sky.csv"
     rows = "2024-05-21T12:00:00Z,0.9,0.9,0.9\n" + f"2024-05-21T12:00:02Z,0.9,{cell},0.9\n"
-    path.write_text(f"# units: uW cm-2 nm-1\n# fwhm_nm: 3\ntime,500,600,700\n{rows}")
+    path.write_text(f"# units: kW m-2 nm-1\n# fwhm_nm: 3\ntime,500,600,700\n{rows}")
     with refusal(FormatError, "value-out-of-range", "sky.csv:5"):
-        open_irradiance(path, units="kW m-2 nm-1")
+        open_irradiance(path)
 
 
 def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:

@@ -358,6 +358,9 @@ def test_csv_needs_zone_units_and_width(tmp_path):
         (SchemaError, "fwhm-missing", "fwhm_nm=", lambda: open_irradiance(path, units="W m-2 nm-1")),
     )
     assert open_irradiance(path, units="W m-2 nm-1", fwhm_nm=3)["irradiance_fwhm"] == 3.0
+    path.write_text(CSV.format(z="Z"))
+    other = {"units": "uW cm-2 nm-1"}
+    expect_refusals((UnitsError, "units-conflict", "units=", lambda: open_irradiance(path, **other)))
 
 
 @pytest.mark.parametrize(
@@ -373,11 +376,38 @@ def test_csv_needs_zone_units_and_width(tmp_path):
         ("time,500\n0001-01-01,1\n", "outside 1970 to 2199"),
         ("time,500\n2024-05-21T12:00:00Z,1\n2024-05-21T12:00:01,1\n", "zone-missing"),
         ("# fwhm_nm: three\ntime,500\n2024-05-21T12:00:00Z,1\n", "fwhm_nm: three"),
+        ("# units: W m-2 nm-1\n# units: mW m-2 nm-1\ntime,500\n", "key-repeated"),
+        ("# quantity: upwelling irradiance\ntime,500\n2024-05-21T12:00:00Z,1\n", "quantity-wrong"),
+        ("# quantity: radiance\ntime,500\n2024-05-21T12:00:00Z,1\n", "quantity-wrong"),
     ],
 )
 def test_damaged_csv(tmp_path, text, problem):
     (tmp_path / "sky.csv").write_text(text)
     expect_errors((FormatError, problem, lambda: read_irradiance_csv(tmp_path / "sky.csv")))
+
+
+@pytest.mark.parametrize(
+    ("heading", "stamp", "expected"),
+    [
+        ("Time (UTC)", "2024-06-01 12:00:00", "12:00:00+00:00"),
+        ("utc", "2024-06-01 12:00:00", "12:00:00+00:00"),
+        ("Time (GMT)", "2024-06-01 12:00:00", "12:00:00+00:00"),
+        ("Time (UTC-5)", "2024-06-01 12:00:00", "12:00:00-05:00"),
+        ("local time (UTC+2)", "2024-06-01 12:00:00", "12:00:00+02:00"),
+        ("Time (GMT+2)", "2024-06-01 12:00:00", "12:00:00+02:00"),
+        ("timestamp [UTC+05:30]", "2024-06-01 12:00:00", "12:00:00+05:30"),
+        ("Time (not UTC)", "2024-06-01 12:00:00", "12:00:00"),
+        ("Time (UTC+99)", "2024-06-01 12:00:00", "12:00:00"),
+        ("gps_time", "2024-06-01 12:00:00", "11:59:42+00:00"),
+        ("gps_time", "1401278400", "11:59:42+00:00"),
+        ("gps_time", "2024-06-01T12:00:00Z", "12:00:00+00:00"),
+        ("unix_time", "1717243200", "12:00:00+00:00"),
+    ],
+)
+def test_the_heading_of_the_times_states_their_clock(tmp_path, heading, stamp, expected):
+    (tmp_path / "sky.csv").write_text(f"{heading},500\n{stamp},1\n")
+    (time,) = read_irradiance_csv(tmp_path / "sky.csv").times
+    assert time.isoformat() == f"2024-06-01T{expected}"
 
 
 # --- xarray and its stores
