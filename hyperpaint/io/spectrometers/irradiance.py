@@ -77,6 +77,8 @@ _GAP_INTERVALS = 2.5
 _LINE_MARGIN = np.timedelta64(60, "s")
 #: Wavelengths of sunlight, and resolutions of spectrometers [nm].
 _SUNLIGHT_RANGE_NM, _FWHM_RANGE_NM = (200.0, 2600.0), (0.02, 100.0)
+#: Difference of stamps and GPS time in the files that is told [s]: saving a spectrum takes seconds.
+_GPS_TOLERANCE_S = 20.0
 #: Largest number of sample pairs in a message.
 _MAX_SHOWN = 20
 
@@ -385,6 +387,7 @@ class _Series:
     attrs: Mapping[str, Any] = field(default_factory=dict)
     clipped: Bools | None = None  # (sample, wavelength), True where raw counts were clipped
     receptor: str = ""  # Setting that contradicts a cosine receptor
+    ahead_s: float = math.nan  # Median of UTC by the stamps minus the GPS time in the files
 
 
 @takes_quantities(clock_offset_s="s", fwhm_nm="nm", max_gap_s="s", averaging_s="s", clock_uncertainty_s="s")
@@ -466,9 +469,10 @@ def open_irradiance(
     Warns
     -----
     PaintWarning
-        Saturated or undefined samples, which become NaN; scans and channels that cannot be daylight, which
-        become NaN, and a step in gain (attribute ``irradiance_faults``), see
-        `hyperpaint.io.spectrometers.record_faults`; and see `hyperpaint.io.spectrometers.asd.open_asd`.
+        Stamps that differ from the GPS time in the files; saturated or undefined samples, which become NaN;
+        scans and channels that cannot be daylight, which become NaN, and a step in gain (attribute
+        ``irradiance_faults``), see `hyperpaint.io.spectrometers.record_faults`; and see
+        `hyperpaint.io.spectrometers.asd.open_asd`.
 
     Examples
     --------
@@ -537,6 +541,12 @@ def open_irradiance(
     shift_s = MID_EXPOSURE_OFFSETS[stamp] * window
     seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
     times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
+    warn_if(
+        abs(series.ahead_s + clock_offset_s) > _GPS_TOLERANCE_S,
+        f"{series.origin}: the stamps are {series.ahead_s + clock_offset_s:+.0f} s from the GPS time in the "
+        f"files; clock_offset_s={-series.ahead_s:.0f} would fit, if the clock of the PC was wrong",
+        "clock-conflict",
+    )
     order = np.argsort(times, kind="stable")
     # samples with the same time
     repeats = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
@@ -744,17 +754,28 @@ def _from_spectra(
     )
     sources = [spectrum.source for spectrum in spectra]
     is_clipped = [spectrum.clipped for spectrum in spectra if spectrum.clipped is not None]
+    offsets = utc_offsets(spectra, utc_offset_h, one_clock=one_clock)
+    # the GPS time in a file has no date: differences within half a day
+    day_s = 86_400.0
+    ahead_s = [
+        ((local - dt.datetime.combine(local, spectrum.gps.utc)).total_seconds() - 3600.0 * hours + day_s / 2)
+        % day_s
+        - day_s / 2
+        for spectrum, hours in zip(spectra, offsets, strict=True)
+        if spectrum.gps is not None and (local := spectrum.local_time) is not None
+    ]
     last_source_text = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
     return _Series(
         sources=sources,
         stamps=np.array([spectrum.local_time for spectrum in spectra], "datetime64[ns]"),
-        utc_offset_h=utc_offsets(spectra, utc_offset_h, one_clock=one_clock),
+        utc_offset_h=offsets,
         averaging_s=np.array([spectrum.averaging_s or 0.0 for spectrum in spectra], np.float64),
         wavelength=spectra[0].wavelength,
         values=np.stack([spectrum.values for spectrum in spectra]),
         clipped=np.stack(is_clipped) if len(is_clipped) == len(spectra) else None,
         units=units,
         origin=f"{sources[0]}{last_source_text}",
+        ahead_s=float(np.median(ahead_s)) if ahead_s else math.nan,
         **extra,
     )
 

@@ -1,5 +1,6 @@
 import contextlib
 import datetime as dt
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -326,6 +327,17 @@ time,500,600
 2024-05-21T12:00:02{z},900,800
 2024-05-21T12:00:00{z},890,
 """
+
+
+def test_the_clock_of_the_pc_against_the_gps(log):
+    # 12:00:00 of a clock two hours east of UTC, and 9:57:39 by the GPS
+    gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, 4815.0, -1142.0, 12.0, 1, 0, 39, 57, 9, 0, 0, b"", 0, 0)
+    files = log(0, 2, gps=gps)
+    with pytest.warns(PaintWarning, match=r"clock_offset_s=-142.*clock-conflict"):
+        open_irradiance(files, utc_offset_h=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        open_irradiance(files, utc_offset_h=2, clock_offset_s=-142.0)
 
 
 def test_csv_series(tmp_path):
