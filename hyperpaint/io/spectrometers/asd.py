@@ -490,6 +490,11 @@ EXPORTS = (
             ),
             # upper end of the operator's plot, the only hint at the quantity
             "ymax": (rf"ymax\s*=\s*{_NUMBER}", lambda match: float(match[1])),
+            # range of the operator's plot [nm]
+            "plotted": (
+                rf"xmin\s*=\s*{_NUMBER}\s*xmax\s*=\s*{_NUMBER}",
+                lambda match: (float(match[1]), float(match[2])),
+            ),
             "splices": (
                 rf"join between VNIR and SWIR1 was {_NUMBER} nm(?s:.){{0,200}}?"
                 rf"SWIR1 and SWIR2 was {_NUMBER} nm",
@@ -509,6 +514,8 @@ EXPORTS = (
 )
 _QUANTITY_BY_YMAX = {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}
 _MAX_TEXT_BYTES = 512 * 2**20
+#: Number of rows from which a table that begins with the plot should end with it.
+_MIN_PLOTTED = 50
 
 
 class AsdText(NamedTuple):
@@ -622,6 +629,13 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     values = np.ascontiguousarray(table if is_spectrum_per_row else table.T)
     statistics = [] if is_spectrum_per_row else statistics_among(spectra)
     kept = [number for number, spectrum in enumerate(spectra) if spectrum not in statistics]
+    first, last = preamble.get("plotted") or (math.inf, 0.0)
+    if len(wavelength) >= _MIN_PLOTTED and wavelength[0] <= first and wavelength[-1] < last - 1.0:
+        warn_of(
+            f"the table ends at {wavelength[-1]:g} nm, its plot at {last:g} nm: copy a truncated file again",
+            [name],
+            "file-truncated",
+        )
     if statistics and kept:
         warn_of(
             f"columns {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out",

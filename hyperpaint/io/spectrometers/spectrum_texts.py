@@ -483,6 +483,8 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     model = _CHANNELS.search(header.get("instrument", ""))
     is_overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
     channels = int(model[1]) if model and is_overlap_preserved else 0
+    joins = overlap_of(header).joins
+    last_nm = wavelength.max(initial=0.0)
     unit_words = [word.strip().lower() for word in header.get("units", "").split(",")]
     units = tuple(dialect.units.get(word, word) for word in (unit_words * 2)[: max(len(unit_words), 2)])
     # wavelengths step back where the next detector begins
@@ -499,6 +501,14 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
             Problem(
                 f"{len(wavelength)} rows",
                 expected=f"the {channels} channels of an HR-{channels} whose overlap is preserved",
+                mend="copy the file again from the instrument",
+                code="file-truncated",
+            ),
+        ),
+        (
+            joins is not None and last_nm < max(joins),
+            Problem(
+                f"the rows end at {last_nm:g} nm, but the header joins detectors at {joins}",
                 mend="copy the file again from the instrument",
                 code="file-truncated",
             ),
@@ -1289,7 +1299,7 @@ FORMS = (
         "Spectral Evolution",
         _pattern(r'^"?Data:"?[,;\t ]*\n(?="?(?:Chan\.?#"?[,;\t]"?)?Wvl\b)'),
         # of the reference, then of the target
-        stamp=r"^Date: *(?:[^,\n]*, *)?(?P<date>[\d/]{8,10})[^\n]*\n"
+        stamp=r"^Date: *(?:[^,\n]*, *)?(?P<date>[\d/.]{8,10})[^\n]*\n"
         r"Time: *(?:[^,\n]*, *)?(?P<time>[\d:]{7,8})(?P<fraction>\.\d{1,6})?",
         dayfirst=False,
     ),
@@ -1608,7 +1618,8 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
             # of an order that differs between versions: kept only where certain
             date = date.replace("-", "/")
         stamp = read_stamp(f"{date} {parts['clock'] if parts['month'] else parts['time']}")
-        local = None if stamp is None else stamp.read(form.dayfirst)
+        # the day comes first between dots
+        local = None if stamp is None else stamp.read(None if "." in date else form.dayfirst)
         if local is not None and parts["fraction"]:
             local += dt.timedelta(seconds=float(parts["fraction"]))
         offset = _ZONES.get(parts["zone"] or "")

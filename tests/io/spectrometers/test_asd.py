@@ -548,6 +548,15 @@ def test_columns(tmp_path, separator, line_end, header):
         assert text.preamble["splices"] == (1000.0, 1830.0)
 
 
+@pytest.mark.parametrize(("last", "is_told"), [(2500, False), (795, True)])
+def test_an_export_that_ends_before_its_plot_is_told(tmp_path, last, is_told):
+    rows = "".join(f"{nm}\t0.5\n" for nm in range(350, last + 1))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read(tmp_path, f"{preamble()}Wavelength\ta.asd\n{rows}")
+    assert [warning.message.code for warning in caught] == ["file-truncated"] * is_told
+
+
 def test_many_columns_and_rows(tmp_path):
     for content in (
         "Wavelength\ta.asd\tb.asd\t\n350\t1\t2\t\n351\t3\t4\t\n",

@@ -17,7 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, TimeError
 from hyperpaint.io.spectrometers.asd import EXPORTS
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
-from hyperpaint.io.spectrometers.spectrum_texts import DIALECTS, FORMS
+from hyperpaint.io.spectrometers.spectrum_texts import DIALECTS, FORMS, read_spectrum_text
 
 NM = np.arange(350.0, 1050.0, 5.0)
 LIGHT = 1.2 * np.exp(-(((NM - 600.0) / 300.0) ** 2))  # W m-2 nm-1
@@ -244,6 +244,18 @@ def test_units_of_avantes_irradiance_are_those_of_the_file(tmp_path: Path) -> No
     (tmp_path / "a.ttt").write_text(avantes("Wave ;AbsIrr", "[nm] ;[µW/cm²/nm]", rows), encoding="latin-1")
     opened = hp.open_asd(tmp_path / "a.ttt", "irradiance")
     np.testing.assert_allclose(opened["irradiance"].values[0], LIGHT, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("date", "expected"),
+    [("03/05/2024", "2024-03-05"), ("13.05.2024", "2024-05-13"), ("05.06.2024", "2024-06-05")],
+)
+def test_dates_of_darwin(tmp_path: Path, date: str, expected: str) -> None:
+    text = darwin("Wvl\tReflect. %", columns(25.0)).replace("03/05/2024", date)
+    (tmp_path / "a.sed").write_text(text)
+    time = read_spectrum_text(tmp_path / "a.sed").local_time
+    assert time is not None
+    assert time.date().isoformat() == expected
 
 
 def test_zone_and_window_of_a_date(tmp_path: Path) -> None:

@@ -450,6 +450,15 @@ def test_arguments_that_are_refused(write, options, error, told) -> None:
         ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "wavelength-unordered"),
         ({"separator": "; "}, "row-unreadable"),
         ({"instrument": "HI: 1152050 (HR-1024i)"}, "file-truncated"),
+        (
+            {
+                "wavelength": GRID[:9],
+                "panel": PANEL[:9],
+                "surface": SURFACE[:9],
+                "factors": "1.0, 1.0, 1.0 [Overlap: Remove @ 985,1906, Matching Type: None]",
+            },
+            "file-truncated",
+        ),
     ],
 )
 def test_damage(write, fields, problem) -> None:
