@@ -361,12 +361,14 @@ def check_poses(
     for name, limit in LIMITS.items():
         # heading minus wander angle may exceed a full turn
         maximum = limit if name not in ANGLES else 1.25 * (2.0 * np.pi if unit == "radian" else limit)
+        # -9999 stands for an unknown altitude in many records
+        minimum = -1e3 if name == "altitude" else -maximum
         with np.errstate(invalid="ignore"):
-            is_invalid = ~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name])
+            is_invalid = ~((values[name] >= minimum) & (values[name] <= maximum)) & ~np.isnan(values[name])
         if is_invalid.any():
             problems.add(
                 f"{name} is {values[name][is_invalid][0]:g} in {name_rows(rows[is_invalid], row)}",
-                expected=f"within +-{maximum:.4g}",
+                expected=f"{minimum:.4g} to {maximum:.4g}, or empty where it is unknown",
                 code="value-out-of-range",
             )
 
@@ -543,6 +545,7 @@ def limited_numbers(table: Table, column: str, limit: float, problems: Problems,
     problems.add_if(
         invalid_rows.size,
         f"column {column!r} is not a number within {limit:g} in {name_rows(invalid_rows)}",
+        mend="write decimal points" if "," in "".join(cells) else "",
         code="value-out-of-range",
     )
     return numbers
@@ -886,7 +889,21 @@ _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("time of week", "gps time of week", "gps seconds of week", "tow", "sow"), "week"),
     **dict.fromkeys(("unix time", "posix time", "epoch time", "unix"), "unix"),
 }
-_UNIT_SUFFIXES = ("deg", "degree", "degrees", "rad", "radian", "radians", "m", "s", "ms", "us", "ns")
+_UNIT_SUFFIXES = (
+    "deg",
+    "degree",
+    "degrees",
+    "rad",
+    "radian",
+    "radians",
+    "m",
+    "ft",
+    "feet",
+    "s",
+    "ms",
+    "us",
+    "ns",
+)
 _CELL = re.compile(r"(?P<name>[^\[(]*)(?:[\[(](?P<unit>[^\])]*)[\])])?")
 _STAMP = re.compile(
     r"(\d{4})[-/](\d{2})[-/](\d{2})[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,9})\d*)?"
@@ -1937,10 +1954,12 @@ def read_control_points(path: str | Path) -> xr.Dataset:
             expected="one column",
             code="column-missing",
         )
-    for name, cell in zip(header, cells, strict=True):
+    origins = [cell for name, cell in zip(header, cells, strict=True) if name.endswith("_track")]
+    origins += [comment for comment in comments if re.search("based|count|start", comment)]
+    for text in origins:
         problems.add_if(
-            name.endswith("_track") and _ONE_BASED.search(cell),
-            f"column {name!r} is {cell.strip()[:40]!r}",
+            _ONE_BASED.search(text),
+            f"the heading or comment {text.strip()[:40]!r}",
             expected="pixels counted from 0",
             mend="subtract 1",
             code="pixel-origin",

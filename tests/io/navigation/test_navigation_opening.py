@@ -290,7 +290,7 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
         "unix_time [ms]",
         "lat_rad",
         "lon (deg)",
-        "alt [ft]",
+        "alt_ft" if separator == ";" else "alt [ft]",
         "roll_rad",
         "pitch (rad)",
         "yaw [rad]",
@@ -352,6 +352,11 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
         ([CSV_HEADER, ",43,-77,150,0,0,0"], "time-missing"),
         ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "143.1")], "latitude is 143.1"),
         ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "1_0")], "value-out-of-range"),
+        ([CSV_HEADER, CSV_ROWS[0].replace("150", "-9999")], "altitude is -9999.*value-out-of-range"),
+        (
+            [CSV_HEADER.replace(",", ";"), "2024-06-01T12:00:00Z;43,1;-77,1;150,0;0;0;0"],
+            "decimal points.*value-out-of-range",
+        ),
         ([CSV_HEADER, CSV_ROWS[0].replace("06-01", "02-30")], "time-unreadable"),
         (["# roll_positive: up", CSV_HEADER, CSV_ROWS[0]], "roll_positive='up'"),
         (["# angle_unit: radian", CSV_HEADER, CSV_ROWS[0]], "'angle_unit' is 'radian'"),
@@ -1301,6 +1306,7 @@ def test_a_table(tmp_path: Path) -> None:
         ("line,sample,east,north,height\n1,2,3,nan,5\n", "line 2.*not-finite"),
         ("line,sample,east,north,height\n1,2,x,4,inf\n", "line 2.*value-out-of-range"),
         ("line (1-based),sample,east,north,height\n1,2,3,4,50\n", "pixel-origin"),
+        ("# pixels are 1-based\nline,sample,east,north,height\n1,2,3,4,50\n", "pixel-origin"),
         *(
             (
                 f"line,sample,east {unit},north,height\n1,2,3,4,50\n",
