@@ -863,7 +863,9 @@ class _Daylight:
     # Irradiance of the record, or of a clear sky, at the resolution of the bands; NaN outside its wavelengths
     def __init__(self, wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> None:
         margin = 2.0 * BAND_RULES.shifts_nm
-        nm = np.arange(max(wavelength.min() - margin, 300.0), min(wavelength.max() + margin, 2500.0), 0.5)
+        # at least one margin, also of wavelengths without sunlight
+        first = max(wavelength.min() - margin, 300.0)
+        nm = np.arange(first, max(min(wavelength.max() + margin, 2500.0), first + margin), 0.5)
         clear_sky = sum(ClearSky(45.0).irradiance(nm)) if record is None else None
         irradiance = np.asarray(clear_sky if record is None else np.interp(nm, *record, np.nan, np.nan))
         half_width = round(2.0 * max(fwhm, 1.0))  # in steps of 0.5 nm: one FWHM to either side

@@ -751,8 +751,13 @@ _TABULATED = ("srf_offset", "srf")
 
 #: Rule of the values by variable: test of the array, fault, expected, and code of the error.
 _VALUE_RULES: Mapping[str, tuple[Callable[[Floats], Any], str, str, str]] = {
+    # ultraviolet to thermal infrared: micrometres lie below
+    "wavelength": (
+        lambda v: ((v > 150.0) & (v < 50_000.0)).all(), "is not in nanometres", "150 to 50000 nm",
+        "wavelength-range",
+    ),
     **dict.fromkeys(
-        ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"),
+        ("fwhm", "band_spacing", "saturation_count", "electrons_per_count"),
         (lambda v: np.isfinite(v).all() and (v > 0).all(), "is not finite and positive everywhere", "",
          "value-out-of-range"),
     ),

@@ -407,6 +407,8 @@ def test_a_calibration_says_all_that_is_wrong_with_it() -> None:
     assert all(
         part in text for part in ("no units", "'fwhm' is not finite", "'wavelength' is missing", "'box'")
     )
+    micrometres = make_calibration().assign_coords(wavelength=("band", [0.5, 0.6, 0.7], NM))
+    expect_error(SchemaError, "wavelength-range", lambda: open_calibration(micrometres))
 
 
 @pytest.mark.parametrize("suffix", [".zarr", ".nc"])
