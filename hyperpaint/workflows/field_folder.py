@@ -35,7 +35,7 @@ from hyperpaint.base import (
     toml_text,
 )
 from hyperpaint.io.collect.collect_toml import SCHEMA
-from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
+from hyperpaint.io.envi.envi_cubes import declared_quantity, find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.files.reading import UNKNOWN, is_pattern, read_limited_text, unique_names
 from hyperpaint.io.flightline.side_files import (
@@ -191,8 +191,13 @@ def find_field_files(
                     continue
                 # a dark outside the folder needs no ``dark`` in its name
                 parts = (kind,) if kind else path.relative_to(folder).parts
-                if not header.is_spectral_library and header.dtype.kind not in "ui":
-                    notes.append(f"{relative(path)} is not used: {header.dtype}, raw counts are integers")
+                is_product = header.map_info is not None or declared_quantity(header)[0] not in (
+                    None,
+                    "counts",
+                )
+                if not header.is_spectral_library and (header.dtype.kind not in "ui" or is_product):
+                    what = "a product" if is_product else f"{header.dtype}, raw counts are integers"
+                    notes.append(f"{relative(path)} is not used: {what}")
                 elif not header.is_spectral_library:
                     is_dark = any("dark" in part.lower() for part in parts)
                     is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)

@@ -652,6 +652,36 @@ def write(
     )
 
 
+@pytest.mark.parametrize(
+    ("key", "exposure_s"),
+    [("tint = 9.00", 0.009), ("tint = 9000 us", 0.009), ("tint (us) = 9000", 0.009), ("tint = 9,00", 0.009)],
+)
+def test_exposures_of_a_line_scanner(tmp_path: Path, key: str, exposure_s: float) -> None:
+    write(tmp_path / "lot1", 0.4, "")
+    header = tmp_path / "lot1.hdr"
+    header.write_text(header.read_text().replace("tint = 9.00", key))
+    (cube,) = find_field_files(tmp_path).cubes
+    assert cube.exposure_s == exposure_s
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "description = {x,RADIANCE}",
+        "description = {x,REFLECTANCE}",
+        "map info = {UTM, 1, 1, 5, 5, 1, 1, 32, North}",
+    ],
+)
+def test_products_are_no_raw_cubes(tmp_path: Path, text: str) -> None:
+    for name in ("lot1", "lot1_product"):
+        write(tmp_path / name, 0.4, "")
+    with (tmp_path / "lot1_product.hdr").open("a") as file:
+        file.write(f"{text}\n")
+    found = find_field_files(tmp_path)
+    assert [cube.header.stem for cube in found.cubes] == ["lot1"]
+    assert "lot1_product.hdr is not used" in found.notes[0]
+
+
 @pytest.mark.parametrize("clocks", [("09:46:00", "09:47:00", "09:48:00"), ("", "", "")])
 def test_a_folder_of_a_line_scanner_is_processed(tmp_path: Path, clocks: tuple[str, str, str]) -> None:
     capture = tmp_path / "day/lot1/capture"

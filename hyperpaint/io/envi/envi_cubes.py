@@ -988,7 +988,7 @@ def open_envi(
             "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
             "'values'; add for example 'reflectance scale factor = 10000' to the header"
         )
-    is_undeclared = quantity is None and _declared_quantity(header)[0] is None
+    is_undeclared = quantity is None and declared_quantity(header)[0] is None
     if (
         is_undeclared
         and header.map_info is None
@@ -1162,7 +1162,7 @@ def _quantity(
     header: EnviHeader, quantity: str | None, unsaid: str, path: Path
 ) -> tuple[str, dict[str, Any]]:
     # Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
-    declared, radiance_units = _declared_quantity(header)
+    declared, radiance_units = declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
     if quantity is not None:
         one_of(quantity, _QUANTITIES, "quantity", error=FormatError)
@@ -1204,7 +1204,7 @@ def _quantity(
     return name, attrs
 
 
-def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
+def declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # Return the quantity that the header declares, and its units of radiance; None if undeclared.
     if _is_unscaled(header):
         return "values", None

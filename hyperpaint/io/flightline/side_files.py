@@ -79,8 +79,8 @@ _SECOND_US = 1_000_000
 DAY_US = 86_400 * _SECOND_US
 _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
-#: Keys of the exposure [ms] and of the frame rate [Hz] in headers of Specim and Resonon.
-_EXPOSURE_KEYS, _RATE_KEYS = ("tint", "shutter"), ("fps", "framerate")
+#: Keys of the exposure (ms without a unit) and of the frame rate [Hz] in headers of Specim and Resonon.
+_EXPOSURE_KEY, _RATE_KEYS = re.compile(r"(?:tint|shutter) ?(?:\((.*)\))?"), ("fps", "framerate")
 _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
 _SPECIM_DATE = re.compile(r"DATE\(yyyy-mm-dd\): *(\d{4}-\d{2}-\d{2})")
 _SPECIM_TIME = re.compile(r"UTC TIME: *(\d{2}:\d{2}:\d{2}(?:\.\d+)?)")
@@ -122,7 +122,9 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
             expected="a number, and a unit of time in the brackets",
             code="number-unreadable",
         ):
-            value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
+            # a decimal comma, which is not that of thousands
+            amount = float(re.sub(r"^(\d+),(?!\d{3}$)(\d+)$", r"\1.\2", text))
+            value = float(f"{amount * conversion_factor(match[1].strip(), 's'):.12g}")
         FormatError.raise_if(
             not (np.isfinite(value) and value > 0),
             f"{source}: {key} = {text}",
@@ -165,8 +167,10 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
             yield "settings.txt", read_settings(settings)
     yield "header comments", json.loads(opened.attrs.get("envi_comments", "{}"))
     fields = json.loads(opened.attrs.get("envi_header", "{}"))
-    if key := next((key for key in _EXPOSURE_KEYS if key in fields), None):
-        yield "header", {"exposure (ms)": fields[key]}
+    matches = (_EXPOSURE_KEY.fullmatch(key) for key in sorted(fields, reverse=True))
+    if match := next(filter(None, matches), None):
+        value, _, unit = fields[match[0]].partition(" ")
+        yield "header", {f"exposure ({match[1] or unit.strip() or 'ms'})": value}
 
 
 def recording_clock(opened: xr.Dataset) -> tuple[str | None, float | None]:
