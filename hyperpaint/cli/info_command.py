@@ -24,6 +24,7 @@ from hyperpaint.base import (
     origin_of,
     url_of,
 )
+from hyperpaint.io.files.reading import foreign_format
 from hyperpaint.io.store import (
     RAW_FILES,
     is_complete,
@@ -86,21 +87,25 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
         from hyperpaint.io.spectrometers.asd import sniff
         from hyperpaint.io.spectrometers.spectrum_texts import is_named_as_scans
 
-        name, suffix = path.name.lower(), path.suffix.lower()
+        name, suffix, foreign = path.name.lower(), path.suffix.lower(), foreign_format(path, is_binary=True)
         reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
         if reader is None:
             reader = _poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path))
         if reader is None:
-            headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+            headers = [
+                path.with_name(stem + end) for stem in (path.name, path.stem) for end in (".hdr", ".HDR")
+            ]
             rules = (
                 (name.startswith("frameindex"), _frame_index),
                 ("imu" in name and suffix == ".txt", _navigation),
                 (name == "settings.txt", _settings),
                 (any(header.is_file() for header in headers), _envi),
                 (suffix in (*_TABLES, ".ems"), _spectra_if_any),
-                (suffix == ".mat", _materials),
+                (suffix == ".mat" and foreign is None, _materials),
             )
             reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
+        if reader is None and foreign is not None:
+            raise FormatError(f"{path}: {foreign.found}", mend=foreign.mend, code=foreign.code)
         reader = FormatError.raise_if_none(
             reader, f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown"
         )

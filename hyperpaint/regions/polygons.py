@@ -64,6 +64,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.geometry.georeference.locating import POSE, between_maps, crs_of, locate
 from hyperpaint.io.files.publishing import publish_file
+from hyperpaint.io.files.reading import foreign_format
 
 #: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.
 MAX_FILE_BYTES = 16 * 2**20
@@ -477,9 +478,11 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
         )
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
+        foreign = foreign_format(file, is_binary=True)
         raise FormatError(
-            f"{file}: not GeoJSON ({reason:.200})",
+            f"{file}: {foreign.found if foreign else f'not GeoJSON ({reason:.200})'}",
             expected="a FeatureCollection of polygons in UTF-8",
+            mend=foreign.mend if foreign else "convert it to GeoJSON, as with ogr2ogr or QGIS",
             code="text-unreadable",
         ) from error
     return _collection(document, str(file))

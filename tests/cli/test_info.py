@@ -202,6 +202,21 @@ def test_info_of_a_field_folder(tmp_path: Path) -> None:
     assert "format-unknown" in hyperpaint("info", empty, status=2).output
 
 
+@pytest.mark.parametrize(
+    ("name", "head", "expected"),
+    [
+        ("a.nc", b"\x89HDF\r\n\x1a\n", "xr.open_dataset"),
+        ("a.xlsx", b"PK\x03\x04", "save the sheet as CSV"),
+        ("a.pdf", b"%PDF-1.7", "a PDF"),
+        ("a.fits", b"SIMPLE  =", "astropy"),
+        ("a.mat", b"MATLAB 5.0 MAT-file", "scipy.io.loadmat"),
+    ],
+)
+def test_files_of_other_programs_are_named(tmp_path: Path, name: str, head: bytes, expected: str) -> None:
+    (tmp_path / name).write_bytes(head + b"\0" * 40)
+    expect_refusals((hp.FormatError, "format-unknown", expected, lambda: describe_path(tmp_path / name)))
+
+
 def test_a_report_of_a_map(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     assert "map map.zarr" in run("report", folder / "map.zarr", "--out", tmp_path / "map.html", "--quiet")

@@ -486,6 +486,20 @@ def test_hostile_files(kind: str, tmp_path: Path) -> None:
         read_regions(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('<?xml version="1.0"?>\n<kml>', "a KML file"),
+        ("; ENVI Output of ROIs (5.3)\n", "regions of interest of ENVI"),
+        ("name,x,y\na,1,2\n", "convert it to GeoJSON"),
+    ],
+)
+def test_other_forms_of_regions_are_named(tmp_path: Path, text: str, expected: str) -> None:
+    (tmp_path / "r.txt").write_text(text)
+    with pytest.raises(FormatError, match=f"(?s){expected}.*text-unreadable"):
+        read_regions(tmp_path / "r.txt")
+
+
 def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for path in (tmp_path, tmp_path / "none", tmp_path / "a\0b"):
         with pytest.raises(FormatError, match="check the path"):

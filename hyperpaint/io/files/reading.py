@@ -189,7 +189,7 @@ _FOREIGN = tuple(
         (rb"%PDF", "a PDF", "type or copy its table into a text: wavelength and value a line"),
         (rb"AVS8[24]", "a binary file of AvaSoft 8", "export it as text with AvaSoft"),
         (rb"///GER", "a GER file", "SVC's software converts it to .sig"),
-        (rb"MATLAB 5", "a MATLAB file", "load it with scipy.io.loadmat, and pass arrays as xarray"),
+        (rb"MATLAB [57]", "a MATLAB file", "load it with scipy.io.loadmat, and pass arrays as xarray"),
         (rb"##(?:TITLE|JCAMP)", "a JCAMP-DX file", "export two columns of wavelength and value"),
         (rb"II\*\x00|MM\x00\*|\x89PNG|\xff\xd8\xff", "a picture or GeoTIFF", "open it with rasterio"),
         (rb"PAR1", "a Parquet file", "open it with hp.open_library"),
@@ -198,6 +198,9 @@ _FOREIGN = tuple(
         (rb"ENVI\b", "an ENVI header", "open it with hp.open_flightline or hp.open_library"),
         (rb"Irradiance\s*\[", "a series of PSI SpectraPen, one column a time", "write a row for each "
          "time, below 'time' and the wavelengths [nm]"),
+        (rb"(?:<\?xml.{0,400}?)?<kml", "a KML file", "convert it to GeoJSON, as with ogr2ogr or QGIS"),
+        (rb"; *ENVI Output of ROIs|(?:<\?xml.{0,400}?)?<RegionsOfInterest", "regions of interest of ENVI",
+         "export them as a shapefile, and convert it to GeoJSON"),
         (rb"ENLIGHTEN|Wasatch", "a file of Wasatch ENLIGHTEN", "export two columns: wavelength and value"),
     )
 )  # fmt: skip

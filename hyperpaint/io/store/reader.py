@@ -116,6 +116,7 @@ def list_groups(path: Any) -> list[str]:
             Exception,
             f"{path} is not a Zarr store ($kind: $error)",
             expected="a folder, zip file or URL with a zarr.json or .zgroup",
+            mend="write cubes, maps and netCDF files into a store with hyperpaint process or hp.to_store",
             code="store-unreadable",
         ):
             members = dict(zarr.open_group(source, path=name, mode="r", use_consolidated=False).members())
