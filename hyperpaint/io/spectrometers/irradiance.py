@@ -756,11 +756,10 @@ def _from_spectra(
     is_clipped = [spectrum.clipped for spectrum in spectra if spectrum.clipped is not None]
     offsets = utc_offsets(spectra, utc_offset_h, one_clock=one_clock)
     # the GPS time in a file has no date: differences within half a day
-    day_s = 86_400.0
     ahead_s = [
-        ((local - dt.datetime.combine(local, spectrum.gps.utc)).total_seconds() - 3600.0 * hours + day_s / 2)
-        % day_s
-        - day_s / 2
+        ((local - dt.datetime.combine(local, spectrum.gps.utc)).total_seconds() - 3600.0 * hours + 43_200.0)
+        % 86_400.0
+        - 43_200.0
         for spectrum, hours in zip(spectra, offsets, strict=True)
         if spectrum.gps is not None and (local := spectrum.local_time) is not None
     ]

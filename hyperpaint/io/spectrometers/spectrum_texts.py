@@ -484,7 +484,6 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     is_overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
     channels = int(model[1]) if model and is_overlap_preserved else 0
     joins = overlap_of(header).joins
-    last_nm = wavelength.max(initial=0.0)
     unit_words = [word.strip().lower() for word in header.get("units", "").split(",")]
     units = tuple(dialect.units.get(word, word) for word in (unit_words * 2)[: max(len(unit_words), 2)])
     # wavelengths step back where the next detector begins
@@ -506,9 +505,9 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
             ),
         ),
         (
-            joins is not None and last_nm < max(joins),
+            joins is not None and wavelength.max(initial=0.0) < max(joins),
             Problem(
-                f"the rows end at {last_nm:g} nm, but the header joins detectors at {joins}",
+                f"the rows end before the header's joins of detectors at {joins} nm",
                 mend="copy the file again from the instrument",
                 code="file-truncated",
             ),
