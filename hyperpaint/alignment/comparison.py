@@ -1866,6 +1866,7 @@ _VARIABLES = (
 _WINDOW = "window"
 
 
+@takes_quantities()
 def apply_alignment(
     line: xr.Dataset, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True
 ) -> xr.Dataset:

@@ -14,11 +14,12 @@ import dataclasses
 import datetime
 import functools
 import inspect
+import os
 import re
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, get_args
 
 import numpy as np
 import xarray as xr
@@ -249,7 +250,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     array([6.])
     """
     array = plain(array)
-    name = name or str(array.name)
+    name = name or str(array.name or "array")
     units = UnitsError.raise_if_none(
         array.attrs.get("units"),
         f"{name!r} has no units",
@@ -465,12 +466,20 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
 
     def decorated(target: Any) -> Any:
         function = vars(target)["__init__"] if isinstance(target, type) else target
-        names = list(inspect.signature(function).parameters)
+        parameters = inspect.signature(function).parameters
+        names = list(parameters)
+        kinds = {
+            name: {*(get_args(parameter.annotation) or [parameter.annotation])} - {type(None)}
+            for name, parameter in parameters.items()
+        }
 
         def number(value: Any, name: str) -> Any:
-            # a class lists all faults of its fields, text among them
-            is_field = isinstance(target, type) and isinstance(value, str)
-            return value if is_field else _number(value, units, name)
+            # integers of few bits overflow, and a check for int or float would refuse numbers of numpy
+            if isinstance(value, np.generic | np.ndarray) and value.dtype != np.float64:
+                value = value.item() if value.ndim == 0 and value.dtype.kind in "biuf" else value
+            if isinstance(target, type):  # a class lists all faults of its fields, text among them
+                return value if isinstance(value, str) else _number(value, units, name)
+            return _of_kind(_number(value, units, name), kinds.get(name, set()), name)
 
         @functools.wraps(function)
         def with_numbers(*arguments: Any, **options: Any) -> Any:
@@ -488,7 +497,8 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
 
 def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
     if name in units:
-        return in_units(value, units[name], name)
+        number = in_units(value, units[name], name)
+        return number.item() if isinstance(number, xr.DataArray) and number.ndim == 0 else number
     if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):
         return plain(value)
     if isinstance(value, Mapping):
@@ -498,6 +508,33 @@ def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
         members = [_number(item, units, name) for item in value]
         return type(value)(members) if any(a is not b for a, b in zip(members, value, strict=True)) else value
     return in_units(value, "1", name) if _is_quantity(value) else value
+
+
+#: What a parameter accepts, by a class of its annotation.
+_ACCEPTED = {
+    xr.Dataset: "a Dataset, such as xarray.open_zarr or hyperpaint.open_library returns",
+    int: "a whole number",
+    float: "a number",
+    slice: "a slice, such as slice(10, 90)",
+}
+_STRICT = ({int}, {slice}, {xr.Dataset, xr.DataTree})
+
+
+def _of_kind(value: Any, kinds: set[Any], name: str) -> Any:
+    # Return an argument, 4.0 as 4 where the annotation is int; SchemaError for text where the annotation has
+    # none, and for another object than a whole number, slice or Dataset. None is not checked.
+    accepted = next((text for kind, text in _ACCEPTED.items() if kind in kinds), "")
+    if kinds == {int} and isinstance(value, float) and value.is_integer():
+        return int(value)
+    is_text = isinstance(value, str | os.PathLike) and str not in kinds
+    is_other = value is not None and any(kinds <= strict for strict in _STRICT)
+    SchemaError.raise_if(
+        accepted and (is_text or (is_other and not isinstance(value, tuple(kinds)))),
+        f"{name}={' '.join(shown(value).split())}",
+        expected=accepted,
+        code="type-wrong",
+    )
+    return value
 
 
 # --- a view in Quantities ----------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from hyperpaint.base import (
     SchemaError,
     documented,
     has_own_means,
+    is_number,
     label,
     rename_to_roles,
     require,
@@ -55,6 +56,7 @@ SCREEN = SimpleNamespace(
 _SIDE = "block_side"
 
 
+@takes_quantities()
 @documented()
 def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
@@ -334,9 +336,9 @@ def _positions(selection: Any, line: xr.Dataset, dim: str) -> Any:
     if np.ndim(selection):
         return np.asarray(selection)
     SchemaError.raise_if(
-        not -size <= selection < size,
-        f"{dim} {selection} is outside of this line",
-        expected=f"{-size} to {size - 1}",
+        not (is_number(selection) and -size <= selection < size and selection % 1 == 0),
+        f"{dim} {selection!r:.40} is outside of this line",
+        expected=f"a slice, or a whole number from {-size} to {size - 1}",
         code="pixel-outside-line",
     )
     return int(selection) % size

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_error, refusal
+from support.refusals import expect_error, expect_refusals, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, UnitsError
-from hyperpaint.base.facts import conversion_factor, in_units, plain, quantify
+from hyperpaint.base.facts import conversion_factor, in_units, plain, quantify, takes_quantities
 from hyperpaint.radiometry.pixel_reading import worked_example
 
 pint = pytest.importorskip("pint")
@@ -333,6 +333,34 @@ def test_a_flight_line_opened_with_quantities() -> None:
         "exposure_time",
         lambda: hp.open_flightline(cube, exposure_time=5 * FIRST.m, frame_period=0.007, **options),
     )
+
+
+@takes_quantities(height="m")
+def sized(
+    count: int = 0,
+    share: float = 0.0,
+    part: slice | None = None,
+    table: xr.Dataset | None = None,
+    height: float = 0.0,
+) -> tuple[Any, ...]:
+    return count, share, part, table, height
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [("count", np.int8(100), 100), ("count", np.array(100, "u1"), 100), ("count", 4.0, 4),
+     ("count", 4.5, None), ("count", "4", None), ("count", [4], None),
+     ("share", np.float32(0.5), 0.5), ("share", "0.5", None),
+     ("part", slice(3), slice(3)), ("part", 3, None), ("part", (0, 3), None),
+     ("table", "lib.zarr", None), ("table", xr.DataArray([1.0]), None),
+     ("height", array(1000.0, "mm"), 1.0), ("height", array(1.0, "m"), 1.0)],
+)  # fmt: skip
+def test_an_argument_is_of_the_kind_of_its_annotation(name: str, value: Any, expected: Any) -> None:
+    if expected is None:
+        expect_refusals((hp.SchemaError, "type-wrong", f"{name}=", lambda: sized(**{name: value})))
+        return
+    found = sized(**{name: value})[("count", "share", "part", "table", "height").index(name)]
+    assert (found, type(found)) == (expected, type(expected))
 
 
 def test_the_door_changes_no_call() -> None:
