@@ -41,6 +41,7 @@ from hyperpaint.base import (
     refuse_other_labels,
     rename_to_roles,
     require,
+    shown,
     takes_quantities,
     warn_if,
     warn_user,
@@ -428,11 +429,16 @@ def _sources(white: Any) -> list[Any]:
         headers = lambda paths: [path for path in paths if path.suffix.lower() == ".hdr"]  # noqa: E731
         return list(find_paths(white, headers, "ENVI headers of white references", headers))
     white = white.to_dataset(name="counts") if isinstance(white, xr.DataArray) else white
-    return (
-        [white]
-        if isinstance(white, xr.Dataset | Reference)
-        else [source for entry in white for source in _sources(entry)]
+    if isinstance(white, xr.Dataset | Reference):
+        return [white]
+    sources = [source for entry in white for source in _sources(entry)] if np.iterable(white) else []
+    SchemaError.raise_if(
+        not sources,
+        f"white={shown(white)}",
+        expected="the path of an ENVI header or a Zarr, a Dataset or DataArray of counts, or several of them",
+        code="type-wrong",
     )
+    return sources
 
 
 def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth: int) -> xr.Dataset:

@@ -618,6 +618,12 @@ class Panel:
             expected="a fraction of 1, such as 0.02",
             code="value-out-of-range",
         )
+        SchemaError.raise_if(
+            not (isinstance(self.along_track, slice) and isinstance(self.cross_track, slice)),
+            f"a panel at along_track={self.along_track!r:.40}, cross_track={self.cross_track!r:.40}",
+            expected="slices, such as slice(80, 90)",
+            code="type-wrong",
+        )
         is_labelled = hasattr(self.reflectance, "coords")
         SchemaError.raise_if(
             is_labelled and "wavelength" not in self.reflectance.coords,
@@ -630,7 +636,9 @@ class Panel:
             expected="0 to 1, or a DataArray",
             code="value-out-of-range",
         )
-        check_surface(self.surface, convert(self.reflectance, "1") if is_labelled else self.reflectance)
+        check_surface(
+            self.surface, convert(self.reflectance, "1", "reflectance") if is_labelled else self.reflectance
+        )
 
     def at(self, wavelength: Any) -> Any:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside the range of ``reflectance``."""

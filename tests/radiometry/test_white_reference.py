@@ -8,7 +8,7 @@ import xarray as xr
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, UnitsError
 from hyperpaint.base.schema import Quality
 
 BANDS, COLUMNS, TILE = 5, 7, 0.95
@@ -134,6 +134,20 @@ def test_a_mean_has_its_uncertainty_without_wavelengths():
     assert mean["u_systematic"].values == pytest.approx(np.full(BANDS, 0.003), rel=0.2)
 
 
+@pytest.mark.parametrize("dtype", ["float32", "int32", "uint32", "where"])
+def test_a_white_of_another_dtype_gives_the_same_gain(dtype: str):
+    scene, dark, white = cube(0.3), cube(0.0), cube(TILE)
+    options = {"dark": dark, "tile": TILE}
+    expected = hp.radiometry.white_reference(scene, white, bit_depth=12, **options)
+    other = (
+        white.where(white.counts > 0)
+        if dtype == "where"
+        else white.assign(counts=white.counts.astype(dtype, keep_attrs=True))
+    )
+    found = hp.radiometry.white_reference(scene, other, bit_depth=np.uint8(12), **options)  # 2**12 overflows
+    xr.testing.assert_identical(found, expected)
+
+
 def test_a_white_reference_that_would_mislead_is_refused():
     scene, dark, white = cube(0.3), cube(0.0), cube(TILE)
 
@@ -147,6 +161,7 @@ def test_a_white_reference_that_would_mislead_is_refused():
     numbered = scene.assign_coords(cross_track=columns)
     flipped, dark_flipped = (each.assign_coords(cross_track=columns[::-1]) for each in (white, dark))
     fading = [cube(TILE, start_s=at, drift=-0.001).drop_vars("time") for at in (0.0, 90.0)]
+    bare = 0.9 * xr.ones_like(white.wavelength).drop_attrs()
     expect_refusals(
         (SchemaError, "tile-missing", refused(tile=None)),
         (SchemaError, "value-out-of-range", "95", refused(tile=95.0)),
@@ -163,6 +178,10 @@ def test_a_white_reference_that_would_mislead_is_refused():
         (SchemaError, "white-times-missing", refused(white=fading)),
         (SchemaError, "option-conflict", refused(of=scene.assign_attrs(linearity=[1e-6]))),
         (SchemaError, "argument-missing", lambda: scene.paint.reflectance(tile=0.95)),
+        (SchemaError, "type-wrong", "white=[]", refused(white=[])),
+        (SchemaError, "type-wrong", refused(white=white.counts.values)),
+        (FormatError, "value-out-of-range", "float32", refused(white=white.where(white > white.mean()))),
+        (UnitsError, "units-missing", "reflectance.attrs", refused(tile=bare)),
     )  # fmt: skip
     moved = [white, cube(TILE, start_s=90.0)]
     moved[1].counts.values[:] = (moved[1].counts.values * np.linspace(0.8, 1.0, COLUMNS)).astype("u2")

@@ -625,8 +625,9 @@ def read_reference(
     stated: Iterator[float | None] = (
         exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in exposure_sources(path, opened)
     )
-    if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
-        stated = iter([float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])])
+    if "exposure_time" in opened:
+        seconds = np.unique(require(opened, ["exposure_time"], "a dark correction")["exposure_time"].values)
+        stated = iter(map(float, seconds)) if seconds.size == 1 else stated
     exposure = next((seconds for seconds in stated if seconds is not None), None)
     wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
     return Reference(

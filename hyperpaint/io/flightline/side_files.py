@@ -462,7 +462,7 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     # Sum the lines of a cube in blocks of lines.
     # ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube
     # in messages, such as "dark raw_0".
-    # Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
+    # Raises `FormatError`: The counts are not a cube of whole numbers from 0 to 65535 with at least one line.
     problems = Problems(f"{subject} cannot serve as {subject.partition(' ')[0]} reference", FormatError)
     if counts.dims != CUBE:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
@@ -470,17 +470,25 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
         problems.add("the cube has no lines", code="empty-input")
     problems.raise_if_any(
         (
-            counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
-            Problem(
-                f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
-            ),
+            counts.dtype.kind not in "uif",
+            Problem(f"dtype {counts.dtype}", expected="raw counts of 8 or 16 bits", code="type-wrong"),
         ),
     )
+    is_raw = counts.dtype.kind == "u" and counts.dtype.itemsize <= 2
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
-    maximum, line_means = np.zeros(shape, counts.dtype), []
+    maximum, line_means = np.zeros(shape, counts.dtype if is_raw else np.uint16), []
     for start in range(0, counts.shape[0], CHUNK_LINES):
         slab: NDArray[Any] = counts[start : start + CHUNK_LINES].to_numpy()
+        if not is_raw:  # counts after where(), arithmetic or netCDF
+            values, slab = slab, np.clip(np.nan_to_num(slab), 0, 65535).astype(np.uint16)
+            FormatError.raise_if(
+                (values != slab).any(),
+                f"{subject}: {counts.dtype} with missing, negative or broken values, or above 65535",
+                expected="raw counts of 8 or 16 bits",
+                mend="pass the cube as it was opened; select lines by isel(along_track=...), not by where()",
+                code="value-out-of-range",
+            )
         total += slab.sum(axis=0, dtype=np.uint64)
         squares += np.square(slab, dtype=np.uint64).sum(axis=0)
         maximum = np.maximum(maximum, slab.max(axis=0))
