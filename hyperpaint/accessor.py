@@ -234,13 +234,25 @@ class _ArrayMethod(_Method):
     # A method of a DataArray: returns its own variable of the resulting dataset.
 
     def __call__(self, *arguments: Any, dims: Dims | None = None, **options: Any) -> Any:
-        result = super().__call__(*arguments, dims=dims, **options)
-        return result if self._accessor is None else self._accessor._as_array(result)
+        from .base.schema import VARIABLES
+
+        if self._accessor is None:
+            return super().__call__(*arguments, dims=dims, **options)
+        # functions find a cube by its name; a picture also shows values of an undeclared quantity
+        array, own_name = self._accessor._array, self._accessor._name
+        name = own_name if own_name in VARIABLES else "values" if self.__name__ == "rgb" else "reflectance"
+        method = _Method(self.__name__, self._home, PaintArrayAccessor(array.rename(name)))
+        result = method(*arguments, dims=dims, **options)
+        return result[name].rename(array.name) if isinstance(result, xr.Dataset) else result
 
 
 @xr.register_dataarray_accessor("paint")
 class PaintArrayAccessor(_Accessor):
-    """Methods on a cube, such as ``line.reflectance.paint.rgb()``. They return new objects."""
+    """Methods on a cube, such as ``line.reflectance.paint.rgb()``. They return new objects.
+
+    A cube with another name than those of the schema, or without one, is taken for reflectance; ``rgb`` shows
+    it as values of an undeclared quantity.
+    """
 
     def __init__(self, array: xr.DataArray) -> None:
         self._array = array
@@ -254,16 +266,11 @@ class PaintArrayAccessor(_Accessor):
     def _dataset(self) -> xr.Dataset:
         return self._array.to_dataset(name=self._name)
 
-    def _as_array(self, result: Any) -> Any:
-        # Return the array of a resulting Dataset; pass other results through.
-        return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
-
     def quantify(self, registry: "pint.UnitRegistry[Any] | None" = None) -> xr.DataArray:
         """Return a view for pint-xarray users, a Quantity; see `PaintAccessor.quantify`."""
         from .base.facts import quantify
 
-        quantified: xr.DataArray = self._as_array(quantify(self._dataset, registry))
-        return quantified
+        return quantify(self._dataset, registry)[self._name].rename(self._array.name)
 
 
 for _name, _home in METHODS.items():

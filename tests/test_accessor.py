@@ -127,6 +127,16 @@ def test_verify_finds_the_store_of_a_dataset(tmp_path: Path) -> None:
     assert "hyperpaint.verify(path)" in caught.problem.mend
 
 
+@pytest.mark.parametrize("name", [None, "rho"])
+def test_a_cube_of_any_name_is_reflectance(name: str | None) -> None:
+    cube = flight(lines=8, columns=4).line.paint.reflectance().reflectance.compute()
+    for method, options in (("smooth", {"window": 5}), ("to_nominal", {}), ("at", {"wavelength": 550.0})):
+        found, expected = (getattr(each.paint, method)(**options) for each in (cube.rename(name), cube))
+        xr.testing.assert_identical(found, expected.rename(name))
+    np.testing.assert_array_equal(cube.rename(name).paint.rgb(), cube.paint.rgb())
+    assert cube.rename(name).paint.spectrum(pixels=[(3, 3)]).axes
+
+
 @pytest.mark.parametrize("of", ["dataset", "array"])
 def test_what_the_accessor_has_not_is_named(of: str) -> None:
     library = xr.Dataset({"reflectance": (("signature", "band"), [[0.1]])}, {"signature": ["a"]})
