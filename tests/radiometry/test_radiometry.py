@@ -565,11 +565,12 @@ def test_what_a_clear_sky_contradicts_is_warned_of(options: dict[str, Any], word
         lazily.reflectance.compute()
 
 
-def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs() -> None:
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs(value: float) -> None:
     # Rationale: two of twelve bands had no reflectance, no flag and no word
     line = _line()
     record = line.irradiance.copy(deep=True)
-    record[:, 150] = np.nan
+    record[:, 150] = value
     lazily = reflectance(line.assign(irradiance=record))
     with pytest.warns(PaintWarning, match=r"1 channels.* 550 nm: 2 of 12.*irradiance-gaps"):
         lost = np.isnan(lazily.reflectance.values).all(axis=(0, 2))

@@ -119,6 +119,7 @@ def judge_record(
     # Channels of 400 to 1000 nm are judged: beyond, noise may exceed the light. Raises SchemaError: fewer
     # channels or scans than `RULES.least_share` remain.
     values = np.array(values, np.float64)
+    values[np.isinf(values)] = np.nan  # such as counts over a gain of zero
     in_light = (wavelength >= JUDGED_NM[0]) & (wavelength <= JUDGED_NM[1])
     judged = in_light if in_light.any() else np.ones(wavelength.size, bool)
     defined = np.isfinite(values)
