@@ -533,6 +533,9 @@ def write_regions(
     return file
 
 
+_NAME_POLYGONS = 'name every polygon: hyperpaint.Region("hood", polygon.exterior.coords)'
+
+
 def regions_from(source: Any) -> Regions:
     """Return regions from any of their forms.
 
@@ -578,6 +581,7 @@ def regions_from(source: Any) -> Regions:
     raise SchemaError(
         f"regions are {type(source).__name__}",
         expected="hyperpaint.Regions, the path of a GeoJSON file, or its content",
+        mend=_NAME_POLYGONS,
         code="type-wrong",
     )
 
@@ -602,7 +606,12 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
         description = (
             f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
         )
-        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
+        problems.add(
+            description,
+            expected="a FeatureCollection with a list of features",
+            mend=_NAME_POLYGONS,
+            code="type-wrong",
+        )
     elif len(features) > MAX_REGIONS:
         problems.add(
             f"{len(features)} features",
@@ -629,7 +638,7 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
             code="crs-conflict",
         )
         crs = text
-    declared = members.get("coordinates")
+    declared = members.get("coordinates") if features is not None else None  # not those of a geometry
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)
     problems.raise_if_any()
@@ -669,13 +678,13 @@ def _region(feature: Any) -> Region:
     # the name, else the first label of another program that has a value
     found = {str(key).lower(): key for key, value in reversed(properties.items()) if value is not None}
     key = "name" if properties.get("name") is not None else next(filter(None, map(found.get, _NAMES)), None)
-    if key is None:
-        fields = ", ".join(map(repr, list(properties)[:10])) or "none"
-        raise SchemaError(
-            f"no property 'name', which names the paint; properties: {fields:.200}",
-            mend="rename one of them 'name'",
-            code="region-name-missing",
-        )
+    fields = ", ".join(map(repr, list(properties)[:10])) or "none"
+    key = SchemaError.raise_if_none(
+        key,
+        f"no property 'name', which names the paint; properties: {fields:.200}",
+        mend="rename one of them 'name'",
+        code="region-name-missing",
+    )
     name, flightline = properties.pop(key), properties.pop("flightline", None)
     properties.pop("name", None)  # without a value
     geometry = feature.get("geometry")
@@ -762,14 +771,13 @@ def _by_fiona(path: Path, max_features: int) -> tuple[str | None, list[dict[str,
 def _single_layer(path: Path, layers: list[str]) -> str:
     # QGIS adds a layer with styles
     layers = [name for name in layers if name != "layer_styles"]
-    if len(layers) != 1:
-        names = ", ".join(map(repr, layers)) or "none"
-        raise FormatError(
-            f"{path}: layers {names}",
-            expected="one",
-            mend="save the layer with the regions alone",
-            code="layer-ambiguous",
-        )
+    FormatError.raise_if(
+        len(layers) != 1,
+        f"{path}: layers {', '.join(map(repr, layers)) or 'none'}",
+        expected="one",
+        mend="save the layer with the regions alone",
+        code="layer-ambiguous",
+    )
     return layers[0]
 
 

@@ -108,7 +108,9 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     SchemaError.raise_if(
         not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines,
-        f"{type(lines).__name__} is no collection of flight lines",
+        "no flight line"
+        if isinstance(lines, list | tuple | dict) and not lines
+        else f"{type(lines).__name__} is no collection of flight lines",
         mend="give a dict of datasets by their names",
         code="type-wrong",
     )
