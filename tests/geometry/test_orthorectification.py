@@ -226,6 +226,9 @@ def test_bounds_make_one_grid_for_several_lines() -> None:
     np.testing.assert_allclose(part.east, east, atol=1e-7)
     np.testing.assert_allclose(part.north, north, atol=1e-7)
     assert part.sizes["y"] < whole.sizes["y"]
+    for gsd, far in ((0.01, (0.0, 0.0, 0.3, 0.3)), (100.0, None)):
+        with pytest.warns(hp.errors.PaintWarning, match="map-empty"):
+            hp.geometry.orthorectify(located(fly(80, 40, seed=1)), gsd, variables=["quality"], bounds=far)
 
 
 @pytest.mark.parametrize("order", ["sensor", "map"])

@@ -42,6 +42,7 @@ from hyperpaint.base import (
     one_of,
     require,
     takes_quantities,
+    warn_if,
     warn_user,
 )
 from hyperpaint.geometry.georeference.locating import (
@@ -941,6 +942,11 @@ def orthorectify(
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
 
+    Warns
+    -----
+    PaintWarning
+        The line lies outside of ``bounds``, or is smaller than a cell.
+
     See Also
     --------
     hyperpaint.geometry.locate, hyperpaint.geometry.map_report
@@ -1002,13 +1008,12 @@ def orthorectify(
             code="bounds-invalid",
         )
     problems.raise_if_any()
-    if is_located(line) and location:
-        options = ", ".join(f"{name}=" for name in location)
-        raise SchemaError(
-            f"this line is located already, so {options} would have no effect",
-            mend="leave it out, or drop east and north",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        is_located(line) and location,
+        f"this line is located already, so {', '.join(f'{name}=' for name in location)} would have no effect",
+        mend="leave it out, or drop east and north",
+        code="option-conflict",
+    )
     line, names = prepared(line if is_located(line) else locate(line, **location), variables)
     lines = line_chunks(line, names)
     (east, north, *relief), crs = _positions(line, lines)
@@ -1034,6 +1039,16 @@ def orthorectify(
             np.array([west, west, east_end, east_end]), np.array([south, north_end, south, north_end])
         )
         box = float(right.min()), float(right.max()), float(down.min()), float(down.max())
+    # the box and the swath (smallest to the right, largest, smallest down, largest), without a border pixel
+    swath, margin = survey.box, survey.gsd
+    width, height = swath[1] - swath[0], swath[3] - swath[2]
+    warn_if(
+        any(box[k] > swath[k + 1] + margin or box[k + 1] < swath[k] - margin for k in (0, 2))
+        or size > max(width, height) + margin,
+        f"the map misses the flight line of {width:.3g} x {height:.3g} m, which lies outside the bounds or "
+        f"is smaller than a cell of {size:g} m; check gsd= and bounds=",
+        "map-empty",
+    )
     cells = covering(axes, size, box, whole=bounds is not None)
     rows, cols = cells.shape
     count = -(-rows // tile) * -(-cols // tile)
@@ -1085,14 +1100,13 @@ def line_chunks(line: xr.Dataset, names: Sequence[str] = ()) -> tuple[int, ...]:
 def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
     # Return east and north [m], over relief also heights and tangents of zenith angles; and the CRS.
     coordinates = require(line, ["east", "north"], "a map")
-    if min(coordinates["east"].shape) < 2:
-        count, columns = coordinates["east"].shape
-        raise SchemaError(
-            f"{line.attrs.get('name', 'the line')}: scan lines and columns are {count} x {columns}, too few "
-            "for a map",
-            expected="two or more of each",
-            code="line-too-short",
-        )
+    SchemaError.raise_if(
+        min(coordinates["east"].shape) < 2,
+        f"{line.attrs.get('name', 'the line')}: scan lines and columns are "
+        "{} x {}, too few for a map".format(*coordinates["east"].shape),
+        expected="two or more of each",
+        code="line-too-short",
+    )
     crs = coordinates["east"].attrs.get("crs")
     # a line located on level ground has its height as an attribute
     is_level = isinstance(line.attrs.get("ground"), int | float)
