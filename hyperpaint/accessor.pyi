@@ -97,7 +97,7 @@ class PaintAccessor:
         """Draw a region, or single pixels, as counts, as radiance and as reflectance, side by side."""
     def flag_overlay(
         self,
-        flags: Quality | str | Iterable[str] | None = None,
+        flags: Quality | int | str | Iterable[str] | None = None,
         path: str | Path | None = None,
         *,
         layer: str | None = None,

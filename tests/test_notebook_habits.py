@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_error
+from support.refusals import expect_error, refusal
 
 import hyperpaint as hp
 from hyperpaint.simulation import simulate_collect, simulate_line
@@ -468,9 +468,65 @@ def look_at_it(desk: SimpleNamespace) -> None:
     assert repr(desk.regions)
 
 
+@habit
+def numbers_as_numpy_and_whole_floats(desk: SimpleNamespace) -> None:
+    assert desk.line.paint.rgb(lines=20.0).sizes["along_track"] <= 20
+    assert desk.line.isel(along_track=30).paint.rgb(lines=20).dims == ("cross_track", "rgb")
+    shown = (desk.line.paint.flag_overlay(flags) for flags in (64, np.uint16(64), "glint"))
+    assert len({len(figure.axes[0].get_children()) for figure in shown}) == 1
+    same(
+        desk.line.paint.signatures(desk.regions, exclude=np.int64(1)).reflectance,
+        desk.line.paint.signatures(desk.regions, exclude=1).reflectance,
+    )
+
+
 @pytest.mark.parametrize("name", HABITS)
 def test_a_habit(name: str, desk: SimpleNamespace) -> None:
     HABITS[name](desk)
+
+
+REFUSED: dict[str, tuple[str, Habit]] = {
+    "percentiles that fall": ("value-out-of-range", lambda desk: desk.line.paint.rgb(stretch=(98, 2))),
+    "no percentiles": ("value-out-of-range", lambda desk: desk.line.paint.rgb(stretch=None)),
+    "a slice of wavelengths": ("type-wrong", lambda desk: desk.line.paint.at(slice(500, 600))),
+    "a table of wavelengths": ("type-wrong", lambda desk: desk.line.paint.at([[500, 600]])),
+    "no wavelength": ("selection-empty", lambda desk: desk.line.paint.at([])),
+    "no line": ("pixel-outside-line", lambda desk: desk.line.paint.pixels(None, 4)),
+    "a line as text": ("type-wrong", lambda desk: desk.line.paint.pixels("3", 4)),
+    "a half line": ("pixel-outside-line", lambda desk: desk.line.paint.pixels(3.5, 4)),
+    "a panel of one pixel": (
+        "type-wrong", lambda desk: desk.line.paint.reflectance(panel=hp.Panel(3, 4, 0.6))
+    ),
+    "a library by its path": ("type-wrong", lambda desk: desk.line.paint.detect("library.zarr")),
+    "an array in a store": ("type-wrong", lambda desk: hp.to_store(desk.line.reflectance, "o.zarr")),
+    "light of another shape": (
+        "grid-mismatch", lambda desk: desk.line.paint.correct_light(direct=np.ones(3), sun_zenith=30.0)
+    ),
+    "a scene without reach": ("value-out-of-range", lambda desk: desk.line.paint.survey(reach=0)),
+    "an unknown heading": ("not-finite", lambda desk: desk.line.paint.survey(heading=np.nan)),
+    "a bare polygon": (
+        "type-wrong", lambda desk: desk.line.paint.signatures({"type": "Polygon", "coordinates": [[[0, 0]]]})
+    ),
+    "no lines for a mosaic": ("type-wrong", lambda desk: hp.geometry.mosaic(list(desk.regions)[:0])),
+    "two lines as one": (
+        "dims-wrong",
+        lambda desk: xr.concat([desk.line] * 2, "t", data_vars=["quality"]).paint.locate(ground=0.0),
+    ),
+    "lines without a number": (
+        "not-finite", lambda desk: desk.line[["reflectance"]].pad(along_track=2).paint.quicklook()
+    ),
+    "good bands as text": (
+        "type-wrong",
+        lambda desk: desk.line.assign_coords(good=("band", ["False"] * BANDS)).paint.at(550.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_habit_that_is_refused_by_its_name(name: str, desk: SimpleNamespace) -> None:
+    code, call = REFUSED[name]
+    with refusal(hp.errors.PaintError, code):
+        call(desk)
 
 
 @pytest.mark.parametrize("names", [("latitude", "longitude"), ("lat", "lon")])

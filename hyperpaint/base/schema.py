@@ -643,6 +643,13 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
             mend="widen the slice, mask or wavelength range",
             code="selection-empty",
         )
+    SchemaError.raise_if(
+        "good" in dataset.variables and dataset["good"].dtype.kind in "UST",  # "False" would count as good
+        "'good' holds text",
+        expected="true or false for every band",
+        mend="line.assign_coords(good=line.good == 'True')",
+        code="type-wrong",
+    )
     return with_integer_dtypes(dataset) if is_map else _with_table_dims(dataset)
 
 

@@ -243,6 +243,12 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         return Orientation(extent, half_x < 0, is_flight_grid, 1.0, labels)
     # centres of pixels are whole numbers; a crop keeps the line and column numbers of its flight line
     line_numbers, column_numbers = numbers_of(dataset, ALONG_TRACK), numbers_of(dataset, CROSS_TRACK)
+    SchemaError.raise_if(
+        np.isnan(np.concatenate([line_numbers, column_numbers])).any(),
+        "lines or columns have no number, as after pad()",
+        mend="number them by assign_coords(along_track=...), or drop_vars(['along_track', 'cross_track'])",
+        code="not-finite",
+    )
     extent = (
         column_numbers[0] - 0.5,
         column_numbers[-1] + 0.5,

@@ -36,6 +36,7 @@ from hyperpaint.base import (
     flag_shares,
     flags_named,
     has_own_overview,
+    is_number,
     label_digest,
     numbers_of,
     one_of,
@@ -82,6 +83,7 @@ _MIN_DIFFERENCE = 12.0  # CIEDE2000 difference of colours below which curves get
 _DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 
 
+@takes_quantities()
 @documented(path="picture", width="figure width")
 def spectrum(
     dataset: xr.Dataset,
@@ -562,6 +564,7 @@ OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
 STRETCH = (2.0, 98.0)  # percentiles of brightness shown black and white
 
 
+@takes_quantities()
 def rgb(
     dataset: xr.Dataset, *, stretch: tuple[float, float] = STRETCH, lines: int | None = None
 ) -> xr.DataArray:
@@ -597,7 +600,7 @@ def rgb(
     Raises
     ------
     SchemaError
-        There is no cube, or there are fewer than three visible bands.
+        There is no cube, there are fewer than three visible bands, or an option is out of range.
 
     Examples
     --------
@@ -608,12 +611,16 @@ def rgb(
     (32, ['red', 'green', 'blue'], True)
     """
     dataset = rename_to_roles(dataset)
-    SchemaError.raise_if(
-        lines is not None and lines < 1,
-        f"lines={lines}",
-        expected="1 line of the picture or more",
-        code="value-out-of-range",
-    )
+    is_range = np.shape(stretch) == (2,) and all(map(is_number, stretch))
+    for is_fault, found, expected in (
+        (lines is not None and lines < 1, f"lines={lines}", "1 line of the picture or more"),
+        (
+            not is_range or not 0.0 <= stretch[0] < stretch[1] <= 100.0,
+            f"stretch={stretch!r:.40}",
+            "two percentiles from 0 to 100, such as (2, 98)",
+        ),
+    ):
+        SchemaError.raise_if(is_fault, found, expected=expected, code="value-out-of-range")
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(ALONG_TRACK, 1) // lines)) if lines else None
@@ -621,7 +628,7 @@ def rgb(
         if picture_of_store is not None:
             return picture_of_store
         if has_cube and step:
-            subsample = dataset.isel({ALONG_TRACK: slice(None, None, step)})
+            subsample = dataset.isel({ALONG_TRACK: slice(None, None, step)}, missing_dims="ignore")
             return rgb(subsample, stretch=stretch).assign_attrs(
                 level=f"cube, every {step}. line and 1. column"
             )
@@ -785,6 +792,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     return pixels.rename("overview")
 
 
+@takes_quantities()
 @documented(path="picture")
 def quicklook(
     dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000, width: float = 11.0
@@ -967,10 +975,11 @@ def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
 # --- flags and layers --------------------------------------------------------------------------------------
 
 
+@takes_quantities()
 @documented(path="picture", width="figure width")
 def flag_overlay(
     dataset: xr.Dataset,
-    flags: Quality | str | Iterable[str] | None = None,
+    flags: Quality | int | str | Iterable[str] | None = None,
     path: str | Path | None = None,
     *,
     layer: str | None = None,
@@ -989,8 +998,8 @@ def flag_overlay(
     dataset
         A flight line with ``quality``, or with the variables to compute it.
     flags
-        Flags to draw: `Quality`, or names such as ``"glint"``; by default all flags that occur, or with a
-        layer no flags.
+        Flags to draw: `Quality`, its bits, or names such as ``"glint"``; by default all flags that occur, or
+        with a layer no flags.
     path
     layer
         Name of a variable (along_track, cross_track), such as a fraction of glint.
@@ -1024,7 +1033,7 @@ def flag_overlay(
     """
     dataset = rename_to_roles(dataset)
     chosen: tuple[Quality, ...] = ()  # all flags
-    if isinstance(flags, Quality):
+    if isinstance(flags, int):
         chosen = tuple(flag for flag in Quality if flag & flags)
     elif flags is not None:
         chosen = tuple(flags_named([flags] if isinstance(flags, str) else map(str, flags)))
@@ -1492,6 +1501,7 @@ _BLUE = "#3399DD"  # visible on light and dark backgrounds
 _AXES_INCH = (4.3, 4.4)
 
 
+@takes_quantities()
 @documented(path="picture")
 def triptych(
     dataset: xr.Dataset,
@@ -2110,9 +2120,12 @@ def chips_and_renders(
     lines: dict[str, Any] = {"": renders}
     if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
         lines = dict(renders)
-    if problems or not paints.sizes[SIGNATURE] or not lines:
-        reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
-        raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
+    reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
+    SchemaError.raise_if(
+        problems or not paints.sizes[SIGNATURE] or not lines,
+        f"a collage needs a paint library and a render: {reason}",
+        code="empty-input",
+    )
     count, nm = min(paints.sizes[SIGNATURE], MAX_CHIPS), variables["wavelength"].values
     columns = max(1, min(columns, count))
     rows = -(-count // columns)

@@ -907,14 +907,13 @@ def _reflectance(
 
 
 def _require_one_of(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
-    if not set(names) & set(dataset.variables):
-        variables = ", ".join(map(str, dataset.data_vars)) or "no variable"
-        raise SchemaError(
-            f"cannot compute {purpose} from {variables}",
-            expected=f"'counts' with {', '.join(COUNTED[1:])}, or {' or '.join(map(repr, names[1:]))}",
-            mend="pass white=, tile= and dark= for raw counts" if purpose == "reflectance" else "",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        not set(names) & set(dataset.variables),
+        f"cannot compute {purpose} from {', '.join(map(str, dataset.data_vars)) or 'no variable'}",
+        expected=f"'counts' with {', '.join(COUNTED[1:])}, or {' or '.join(map(repr, names[1:]))}",
+        mend="pass white=, tile= and dark= for raw counts" if purpose == "reflectance" else "",
+        code="variable-missing",
+    )
 
 
 def applied(values: dict[str, Any]) -> dict[str, str | None]:

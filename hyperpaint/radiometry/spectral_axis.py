@@ -82,18 +82,25 @@ def bands_at(dataset: xr.Dataset, wavelength: ArrayLike) -> Any:
     #
     # Raises `SchemaError`: As `at`.
     centres = require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
+    is_list = np.ndim(wavelength) < 2 and not isinstance(wavelength, slice)
+    SchemaError.raise_if(
+        not is_list or np.size(wavelength) == 0,
+        f"wavelength={wavelength!r:.60}",
+        expected="a number, or a list of numbers [nm]",
+        mend="for a range: line.isel(band=(line.wavelength > 500) & (line.wavelength < 600))",
+        code="selection-empty" if is_list else "type-wrong",
+    )
     targets = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - targets[..., None]).argmin(axis=-1)
     distances = np.abs(centres[nearest] - targets)
     ordered = np.sort(centres)
     spacing = max(float(band_spacing(ordered[part]).max()) for part in spectral_parts(ordered))
-    if (distances > spacing).any() or not np.isfinite(targets).all():
-        worst = np.atleast_1d(targets)[np.atleast_1d(distances).argmax()]
-        raise SchemaError(
-            f"no band at {worst:g} nm",
-            expected=f"{centres.min():g} to {centres.max():g} nm",
-            code="band-missing",
-        )
+    SchemaError.raise_if(
+        (distances > spacing).any() or not np.isfinite(targets).all(),
+        f"no band at {targets.flat[distances.argmax()]:g} nm",
+        expected=f"{centres.min():g} to {centres.max():g} nm",
+        code="band-missing",
+    )
     return nearest.item() if nearest.ndim == 0 else nearest
 
 
@@ -293,10 +300,12 @@ def smooth(
     problems = Problems("cannot smooth", SchemaError)
     sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
     bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
-    if "reflectance" not in dataset.variables:
-        problems.add(
-            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
-        )
+    problems.add_if(
+        "reflectance" not in dataset.variables,
+        "'reflectance' is missing",
+        mend="call .paint.reflectance() first",
+        code="variable-missing",
+    )
     one_of(method, METHODS, "method", problems=problems)
     for is_valid, found, expected, code in (
         (

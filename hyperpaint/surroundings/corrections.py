@@ -653,9 +653,10 @@ def correct_light(
             light = direct * (1.0 - share) + sky_light + (1.0 - sky_view_factor) * neighbour_reflectance
             light = light.where(light > 0)
             corrected = {name: line[name] / light for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    except xr.AlignmentError as error:
+    except ValueError as error:  # also of numpy, for shapes
         raise SchemaError(
-            "lines or columns of direct= or sky_view_factor= differ from those of the flight line",
+            "lines, bands or columns of direct= or sky_view_factor= differ from those of the flight line",
+            expected="a number, or a DataArray on dims of the line",
             mend="crop all to the same pixels, or drop their coordinates along_track and cross_track",
             code="grid-mismatch",
         ) from error

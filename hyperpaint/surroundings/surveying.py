@@ -25,6 +25,7 @@ from hyperpaint.base import (
     CROSS_TRACK,
     Array,
     Bools,
+    Fact,
     Floats,
     Floats32,
     Ints,
@@ -33,9 +34,9 @@ from hyperpaint.base import (
     Quality,
     SchemaError,
     as_progress,
+    check_values,
     documented,
     flags_set_from,
-    is_number,
     schema,
     takes_quantities,
     warn_user,
@@ -835,6 +836,13 @@ def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Boo
     return np.pad(noise, 1, mode="edge")
 
 
+_OPTIONS = {
+    "reach": Fact(doc="", kind="whole", least=1),
+    "heading": Fact(doc="", kind="number", optional=True),
+    "sun_azimuth": Fact(doc="", kind="number", optional=True),
+}
+
+
 @takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
 @documented()
 def survey(
@@ -933,6 +941,9 @@ def survey(
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
+    with Problems("this line cannot be surveyed", SchemaError) as problems:
+        values = {"reach": reach, "heading": heading, "sun_azimuth": sun_azimuth}
+        check_values(_OPTIONS, values, problems)
     try:
         line_split = split_of(line, diffuse, sun_zenith, from_shadow=True).mean()
     except SchemaError as error:
@@ -1257,23 +1268,16 @@ def flag(
     line = schema.rename_to_roles(line)
     cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
-    problems = Problems("thresholds cannot be used", SchemaError)
-    for name, value in limits.items():
-        problems.add_if(
-            not is_number(value) or value < 0,
-            f"{name}={value!r}",
-            expected="a number from 0 on",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems("thresholds cannot be used", SchemaError) as problems:
+        check_values({name: Fact(doc="", kind="number", least=0) for name in limits}, limits, problems)
+    SchemaError.raise_if(
+        model is not None and options,
+        f"{', '.join(options)}= are options of the survey, which does not run with model=",
+        mend="pass only one of them",
+        code="option-conflict",
+    )
     if model is None:
         model = survey(line, progress=progress, **options)
-    elif options:
-        raise SchemaError(
-            f"{', '.join(options)}= are options of the survey, which does not run with model=",
-            mend="pass only one of them",
-            code="option-conflict",
-        )
     scene = model_of(line, model)
     # Flags, computed by blocks of lines when asked for
     data = line_chunked(cube).data

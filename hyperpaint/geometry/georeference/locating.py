@@ -35,6 +35,7 @@ from hyperpaint.base import (
     ArrayLike,
     Bools,
     Convention,
+    Fact,
     Floats,
     Ints,
     Problems,
@@ -46,6 +47,7 @@ from hyperpaint.base import (
     conversion_factor,
     convert,
     documented,
+    is_number,
     label,
     lines_a_task,
     needs_extra,
@@ -1060,14 +1062,11 @@ def locate(
                 code="dim-missing",
             )
         for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
-            try:
-                is_valid = np.shape(vector) == (3,) and bool(
-                    np.isfinite(np.asarray(vector, np.float64)).all()
-                )
-            except (TypeError, ValueError):
-                is_valid = False
             problems.add_if(
-                not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
+                Fact(doc="", kind="numbers", length=3).fault(np.asarray(vector, object)),
+                f"{name} {vector!r:.80}",
+                expected="three finite numbers",
+                code="type-wrong",
             )
         problems.add_if(
             (ground is None) == (dem is None),
@@ -1076,9 +1075,8 @@ def locate(
             code="argument-missing" if dem is None else "option-conflict",
         )
         for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
-            is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
             problems.add_if(
-                number is not None and not is_number,
+                number is not None and not is_number(number),
                 f"{name} {number!r:.80}",
                 expected="a finite number",
                 code="not-finite",
@@ -1178,7 +1176,8 @@ def locate(
     coordinates["spatial_ref"] = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
     quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
     if "quality" in line.variables:
-        quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
+        bits = require(line, ["quality"], "ground positions")["quality"]
+        quality = bits.variable.astype(np.uint16) | quality
     located = (
         located.drop_vars(coordinates, errors="ignore")
         .assign(quality=label(xr.DataArray(quality), "quality"))

@@ -592,13 +592,13 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
 def check_shape(
     actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str, role: str = "dark"
 ) -> None:
-    if shape is not None and actual != shape:
-        raise SchemaError(
-            f"{name}: {actual[0]} bands x {actual[1]} columns",
-            expected=f"{shape[0]} x {shape[1]}, as the cube",
-            mend=f"pass a {role} of this camera with the same binning",
-            code="grid-mismatch",
-        )
+    SchemaError.raise_if(
+        shape is not None and actual != shape,
+        "{}: {} bands x {} columns".format(name, *actual),
+        expected="{} x {}, as the cube".format(*(shape or actual)),
+        mend=f"pass a {role} of this camera with the same binning",
+        code="grid-mismatch",
+    )
 
 
 def read_reference(

@@ -463,12 +463,12 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     # ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube
     # in messages, such as "dark raw_0".
     # Raises `FormatError`: The counts are not a cube of whole numbers from 0 to 65535 with at least one line.
-    problems = Problems(f"{subject} cannot serve as {subject.partition(' ')[0]} reference", FormatError)
-    if counts.dims != CUBE:
-        problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
-    elif counts.sizes[CUBE[0]] == 0:
-        problems.add("the cube has no lines", code="empty-input")
-    problems.raise_if_any(
+    Problems(f"{subject} cannot serve as {subject.partition(' ')[0]} reference", FormatError).raise_if_any(
+        (
+            counts.dims != CUBE,
+            Problem(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong"),
+        ),
+        (counts.dims == CUBE and not counts.size, Problem("the cube has no lines", code="empty-input")),
         (
             counts.dtype.kind not in "uif",
             Problem(f"dtype {counts.dtype}", expected="raw counts of 8 or 16 bits", code="type-wrong"),
