@@ -209,7 +209,9 @@ def test_sums_of_a_dark_cube_are_exact() -> None:
 
 def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
     for values, dims, match in (
-        (np.zeros((2, 2, 2), np.float32), CUBE, "float32"),
+        (np.full((2, 2, 2), 0.5, np.float32), CUBE, "float32"),
+        (np.full((2, 2, 2), -1, np.int16), CUBE, "value-out-of-range"),
+        (np.full((2, 2, 2), True), CUBE, "type-wrong"),
         (np.zeros((0, 2, 2), np.uint16), CUBE, "empty-input"),
         (np.zeros((2, 2), np.uint16), ("y", "x"), "expected"),
     ):
