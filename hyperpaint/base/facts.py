@@ -12,6 +12,7 @@ own registry, like UDUNITS, lets it pass. No Quantity ever enters an array, a gr
 import contextlib
 import dataclasses
 import datetime
+import enum
 import functools
 import inspect
 import os
@@ -522,11 +523,12 @@ _STRICT = ({int}, {slice}, {xr.Dataset, xr.DataTree})
 
 def _of_kind(value: Any, kinds: set[Any], name: str) -> Any:
     # Return an argument, 4.0 as 4 where the annotation is int; SchemaError for text where the annotation has
-    # none, and for another object than a whole number, slice or Dataset. None is not checked.
+    # none, nor flags of an Enum, and for another object than a whole number, slice or Dataset.
     accepted = next((text for kind, text in _ACCEPTED.items() if kind in kinds), "")
     if kinds == {int} and isinstance(value, float) and value.is_integer():
         return int(value)
-    is_text = isinstance(value, str | os.PathLike) and str not in kinds
+    has_words = any(kind is str or isinstance(kind, enum.EnumMeta) for kind in kinds)
+    is_text = isinstance(value, str | os.PathLike) and not has_words
     is_other = value is not None and any(kinds <= strict for strict in _STRICT)
     SchemaError.raise_if(
         accepted and (is_text or (is_other and not isinstance(value, tuple(kinds)))),
