@@ -12,6 +12,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning
 from hyperpaint.base.schema import Quality
+from hyperpaint.io.spectrometers.record_faults import judge_record
 from hyperpaint.simulation import simulate_collect, simulate_line
 from hyperpaint.workflows.collects import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -84,6 +85,15 @@ def test_light_that_cannot_be_is_missing(value: float) -> None:
     found = hp.reflectance(line.assign(irradiance=changed))
     np.testing.assert_allclose(found["reflectance"], right["reflectance"], rtol=0.01)
     assert not (found["quality"] & np.uint16(Quality.ILLUMINATION_UNSTABLE)).any()
+
+
+@pytest.mark.parametrize(("scans", "clouded"), [(5, 1), (5, 2), (6, 3)])
+def test_a_cloud_at_the_end_of_a_short_record_stays(scans: int, clouded: int) -> None:
+    nm, stamps = np.arange(400.0, 1000.0), np.datetime64("2024-06-01T12", "ns") + np.arange(scans) * 10**10
+    level = np.where(np.arange(scans) < scans - clouded, 1.0, 0.6)[:, None]
+    noise = 1.0 + 0.002 * np.random.default_rng(scans).normal(size=(scans, nm.size))
+    values, _ = judge_record(nm, stamps, level * noise * (1.0 + np.exp(-(((nm - 500.0) / 300.0) ** 2))))
+    assert np.isfinite(values).all()
 
 
 def test_a_scan_that_is_left_out_is_told() -> None:

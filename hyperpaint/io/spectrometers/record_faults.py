@@ -272,7 +272,7 @@ def _unlike_scans(levels: Floats, seconds: Floats) -> Indices:
             stop = first + length
             run = slice(first, stop)
             if first == 0 or stop == count:  # one-sided: four neighbours on the inner side
-                around = levels[stop : stop + 4] if first == 0 else levels[first - 4 : first]
+                around = levels[stop : stop + 4] if first == 0 else levels[max(first - 4, 0) : first]
                 is_fast = False
             else:
                 around = levels[[first - 1, stop]]
