@@ -204,7 +204,9 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     full_scale = math.inf if product.full_scale is None else float(np.nanmin(product.full_scale[is_judged]))
     is_short = full_scale < RULES.least_full_scale
     passes = not (is_high or top < RULES.least_top or is_short)
-    if not passes:
+    if not passes and median <= 0.0:
+        found += ": the scene is no brighter than the dark, as with a capped lens or at night"
+    elif not passes:
         found += f", {100 * share:.3g} % of them too bright for their colour" * is_high
         # likely cause of the wrong level: the inputs to blame, and slips with about its factor
         #

@@ -365,6 +365,8 @@ def _edge(columns: int) -> Product:
         (_product(20.0, share=0.05), {"reflectance-impossible"}),
         (_product(1000.0), {"reflectance-impossible"}),
         (_product(0.001), {"reflectance-impossible"}),
+        (_product(0.0), {"reflectance-impossible"}),  # a capped lens
+        (_product(-1e-3), {"reflectance-impossible"}),
         (_product(16.0, divisor=16), {"reflectance-level", "counts-multiple"}),
         (_product(gain=GAIN[::-1]), {"gain-order"}),
         (_product(gain=GAIN[:, ::-1]), {"gain-order"}),
