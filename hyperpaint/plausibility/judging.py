@@ -118,6 +118,8 @@ RULES = SimpleNamespace(
     strong_change=0.07,
     # Minimum number of blocks of lines.
     step_blocks=4,
+    visible_nm=700.0,
+    visible_share=0.125,
 )
 
 
@@ -355,7 +357,9 @@ def _swath(product: Product) -> Iterator[Verdict]:
     light = product.light
     bands = np.nanmean(light, axis=(0, 2))
     is_lit = bands > max(RULES.least_light, 0.1 * float(np.nanmax(bands)))
-    if len(light) < RULES.step_blocks or is_lit.sum() < 8 or light.shape[2] < 8:
+    # colour tells surfaces apart by visible light only: in the near infrared a lawn beside asphalt has none
+    has_colour = np.mean(product.wavelength[is_lit] < RULES.visible_nm) > RULES.visible_share
+    if len(light) < RULES.step_blocks or is_lit.sum() < 8 or light.shape[2] < 8 or not has_colour:
         return
     radiance = (light * product.gain)[:, is_lit]
     parts = np.array_split(np.arange(radiance.shape[1]), 8)

@@ -384,6 +384,8 @@ def _edge(columns: int) -> Product:
         (_blocked(17, 0.3, wander=0.07), {"swath-step"}),
         (_blocked(17, 0.3, wander=0.3), set()),
         (_blocked(17, 0.85, wander=0.07), set()),
+        # a lawn beside asphalt, as a camera of the near infrared records it
+        (_blocked(17, 0.5)._replace(wavelength=NM + 320.0, shift=None, reflectance=None), set()),
     ],
 )
 def test_products_that_pass_and_those_that_are_named(product: Product, named: set[str]) -> None:
