@@ -564,7 +564,7 @@ def error_terms(
     masked: float = 0.0,
     dark_share: float = 1.0,
 ) -> ErrorTerms:
-    # Return the terms of the uncertainty of every sample; unknown terms are zero.
+    # Return the terms of the uncertainty of every sample; unknown terms are zero, NaN if all are unknown.
     #
     # ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line, by
     # name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
@@ -596,6 +596,10 @@ def error_terms(
     if "irradiance_u_random" in uncertain and light is not None:
         arrays = {**cube, **light, "irradiance_u_random": uncertain["irradiance_u_random"]}
         squares.append(INTERPOLATED * np.diag(matched_noise(arrays)[1])[:, None])
+    # without any known source the uncertainty is unknown, not zero
+    known = (uncertain.keys() & {*SYSTEMATIC, "panel_u"}) | (cube.keys() & {"stray_light_u"})
+    if not known and not dark_variance.any():
+        squares.append(np.nan * squares[0])
     offset = np.sqrt(dark_variance)
     wavelength_u = np.broadcast_to(np.asarray(uncertain.get("wavelength_u", 0.0), np.float64), len(bad))
     slope = np.empty((0, 4), np.float32)

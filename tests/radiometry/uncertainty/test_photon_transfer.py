@@ -312,6 +312,7 @@ def test_a_mean_over_bands_keeps_them_and_skips_what_is_missing() -> None:
 def test_an_error_that_nobody_knows_is_not_none() -> None:
     line = flight(dtype=np.uint16).line
     unknown = reflectance(with_noise(line), uncertainty=True)
+    assert unknown[U[1]].isnull().all()
     found = mean_uncertainty(unknown)
     assert found.u_systematic.isnull().all()
     assert found.u_systematic.attrs["components"] == "none known"
