@@ -98,6 +98,7 @@ RULES = SimpleNamespace(
     level_columns=5,  # width of the running mean that is subtracted from rows
     max_steady_intervals=1.5,  # interval of lines above which frames are missing [median intervals]
     # --- conventions
+    undulation_m=110.0,  # largest height of the geoid below or above the ellipsoid
     min_parts=500,  # parts of rows that must be comparable
     # Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
     log_odds=10.0,
@@ -864,6 +865,8 @@ def _findings(setting: Setting) -> list[Finding]:
         scored, compared = _scores(setting)
         best = _nearest(scored, declared)
     other = "geoid" if convention.height_reference == "ellipsoid" else "ellipsoid"
+    if abs(height.value - recorded_height) > RULES.undulation_m:
+        other = "another ground= or unit of heights"
     evidence = f"{height.value:.0f} +- {height.sd:.0f} m above ground by the picture"
     heights = f"{evidence}, {recorded_height:.0f} m by the record"
     findings = [
@@ -876,7 +879,7 @@ def _findings(setting: Setting) -> list[Finding]:
                 not recorded_height > 0.0, "wrong", other,
                 f"the camera would be {-recorded_height:.0f} m below the ground",
             ),
-            (is_height_off, "wrong", other, f"{heights}; or ground= is not that of the ellipsoid"),
+            (is_height_off, "wrong", other, f"{heights}; or ground= has another reference"),
             (height.sd * 4.0 < recorded_height, "right", "", heights),
             (True, "undecided", "", heights),
         ),
