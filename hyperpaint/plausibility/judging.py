@@ -116,7 +116,8 @@ RULES = SimpleNamespace(
     strong_step=0.3,
     strong_colour=0.008,
     strong_change=0.07,
-    # Minimum number of blocks of lines.
+    # Minimum number of blocks of lines; wavelength below which surfaces differ in colour [nm], and minimum
+    # share of the lit bands below it [1]: one of the eight intervals of bands that are compared.
     step_blocks=4,
     visible_nm=700.0,
     visible_share=0.125,
@@ -1290,11 +1291,13 @@ DARK_RULES = SimpleNamespace(
     # a third of the light (wrong, 17).
     lit_range=5.0,
     # Number of frames of a dark, and of bands, that are sampled; accepted change of the median of a frame,
-    # in counts and as a share [1]: temperature changes it by some per cent.
+    # in counts and as a share [1]: temperature changes it by some per cent. Accepted change from the first to
+    # the last third of the frames as a share [1]: one frame does not move their medians.
     frames=512,
     frame_bands=8,
     frame_counts=5.0,
     frame_share=0.25,
+    frame_drift=0.2,
     # Accepted regression slope of the scene's pattern on the dark's [1]: 1 for the matching dark, 0 for a
     # dark of another camera, 2 and 0.5 for a dark of half and twice the exposure; right collects of the
     # fault campaign have 0.88 to 1.36.
@@ -1353,12 +1356,15 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
     levels = np.median(counts.isel({counts.dims[0]: frames, counts.dims[1]: bands}).to_numpy(), axis=(1, 2))
     median = float(np.median(levels))
     tolerance = max(DARK_RULES.frame_counts, DARK_RULES.frame_share * median)
-    if float(np.abs(levels - median).max()) > tolerance:
+    drift = max(DARK_RULES.frame_counts, DARK_RULES.frame_drift * median)
+    third = levels.size // 3
+    is_drifting = third > 2 and abs(np.median(levels[:third]) - np.median(levels[-third:])) > drift
+    if float(np.abs(levels - median).max()) > tolerance or is_drifting:
         yield Finding(
             KINDS["dark-unsteady"],
             name,
             f"medians of {levels.size} frames range from {levels.min():g} to {levels.max():g} counts",
-            f"{median:g} +- {tolerance:.3g}",
+            f"{median:g} +- {tolerance:.3g}, at most {drift:.3g} from the first to the last third",
         )
 
 

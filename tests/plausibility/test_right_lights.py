@@ -204,3 +204,10 @@ def test_change_of_the_median_of_dark_frames(change: float, named: bool) -> None
     level = np.where(np.arange(20) == 7, 100.0 * (1.0 + change), 100.0)
     counts = xr.DataArray(np.broadcast_to(level[:, None, None], (20, 9, 5)), dims=("line", "band", "column"))
     assert [f.kind.name for f in judge_dark_frames("dark", counts)] == ["dark-unsteady"] * named
+
+
+@pytest.mark.parametrize(("rise", "frames", "named"), [(0.2, 20, False), (0.55, 20, True), (0.2, 2, False)])
+def test_rise_of_the_median_over_the_dark_frames(rise: float, frames: int, named: bool) -> None:
+    level = np.linspace(100.0, 100.0 * (1.0 + rise), frames)[:, None, None]
+    counts = xr.DataArray(np.broadcast_to(level, (frames, 9, 5)), dims=("line", "band", "column"))
+    assert [f.kind.name for f in judge_dark_frames("dark", counts)] == ["dark-unsteady"] * named
