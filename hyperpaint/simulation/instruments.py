@@ -324,7 +324,7 @@ def write_svc(
     }
     rounded = np.round(np.stack([white, target]) / _UNIT, 2)
     rows = (
-        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {100.0 * surface / panel:.2f}"
+        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {100.0 * surface / panel if panel else 0.0:.2f}"
         for nm, panel, surface in zip(svc_wavelengths(), *rounded, strict=True)
     )
     lines = ["/*** Spectra Vista SIG Data ***/", *(f"{key}= {value}" for key, value in header.items()), *rows]

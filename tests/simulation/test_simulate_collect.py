@@ -601,6 +601,14 @@ def test_svc_files_hold_the_paints(spectrometers: Path) -> None:
         )
 
 
+def test_svc_files_of_a_low_sun_hold_numbers(tmp_path: Path) -> None:
+    # channels without light have no ratio
+    collect = simulate_collect(tmp_path, scene="plan", lines=4, bands=4, columns=4, sun_zenith=75.0)
+    _, rows = svc(collect.parent / "svc/grey.sig")
+    assert (rows[:, 1] == 0.0).any()
+    assert np.isfinite(rows).all()
+
+
 def test_svc_counts_radiance_in_units_of_the_instrument(spectrometers: Path) -> None:
     # 1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has
     _, rows = svc(spectrometers / "svc" / "grey.sig")
