@@ -500,6 +500,18 @@ _ROWS = (
         "check the units of the record (units in [irradiance]), its receptor, its time and the line's place",
     ),
     Kind(
+        "irradiance-doubtful",
+        "Irradiance does not fit a clear sky at the place and time, or the height of the sun.",
+        "check the units of the record, its time and time zone, and the line's place",
+        refused=False,
+    ),
+    Kind(
+        "irradiance-spectrum",
+        "The camera sees the absorption bands of daylight, and the record has none, or at other wavelengths.",
+        "name a record of irradiance, in the order of its wavelengths; pass alignment= for a shift",
+        refused=False,
+    ),
+    Kind(
         "irradiance-scans",
         "Scans of the irradiance record hold no daylight, or differ from the scans before and after.",
         "nothing: they are left out of the interpolation; leave them out of the record",
@@ -970,6 +982,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
             f"a clear sky's at its place and time{slip}",
             f"{RECORD_RULES.least_share:g} to {RECORD_RULES.most_share:g} times",
         )
+    elif level.doubt:  # processing warns of it as well, when it reads the record
+        yield Finding(KINDS["irradiance-doubtful"], RECORD, level.doubt, "daylight at this place and time")
 
 
 def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -> Iterator[Finding]:

@@ -926,6 +926,25 @@ class LightLevel(NamedTuple):
         # Mistaken unit that explains the level, as "A taken for B"; empty without one.
         return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
 
+    @property
+    def doubt(self) -> str:
+        # How the level differs from daylight at its place and time; empty where it does not.
+        level, zenith, clear = self
+        slip = f", {self.slip}" if self.slip else ""
+        if math.isfinite(clear):
+            is_doubtful = not RULES.least_share <= level / clear <= RULES.most_share
+            comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
+        elif zenith > RULES.max_zenith:
+            is_doubtful = level > RULES.most_low_sun
+            comparison = (
+                f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
+            )
+        else:
+            is_doubtful = level < DULL_MEDIAN
+            comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
+        median = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
+        return f"{median}, {comparison}" if is_doubtful else ""
+
 
 def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
     # Return the brightness of the spectra (sample, channel) that light a line, at its place and time.
@@ -945,28 +964,14 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     # Raises SchemaError: The level is impossible for daylight. Warns PaintWarning: It does not fit position
     # and time.
     light = light_level(cube, spectra, channels, stamps)
-    level, zenith, clear = light
-    if not math.isfinite(level):
+    if not math.isfinite(light.median):
         return
-    found = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
-    slip = f", {light.slip}" if light.slip else ""
     SchemaError.raise_if(
-        not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN,
-        found,
-        expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
+        not LOWEST_MEDIAN <= light.median <= HIGHEST_MEDIAN,
+        f"the median irradiance of 400-1000 nm is {light.median:.3g} W m-2 nm-1",
+        expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{light.slip and ', '}{light.slip}",
         mend="correct its units",
         code="irradiance-level",
     )
-    if math.isfinite(clear):
-        is_doubtful = not RULES.least_share <= level / clear <= RULES.most_share
-        comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
-    elif zenith > RULES.max_zenith:
-        is_doubtful = level > RULES.most_low_sun
-        comparison = f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
-    else:
-        is_doubtful = level < DULL_MEDIAN
-        comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
-    if is_doubtful:
-        warn_user(
-            f"{found}, {comparison}; check its units, its time, and the line's place", "irradiance-level"
-        )
+    if light.doubt:
+        warn_user(f"{light.doubt}; check its units, its time, and the line's place", "irradiance-level")
