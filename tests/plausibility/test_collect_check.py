@@ -374,6 +374,7 @@ def _edge(columns: int) -> Product:
         (_product(gain=GAIN * (1.0 + 0.2 * RNG.normal(size=GAIN.shape))), {"gain-pattern"}),
         (_product(shift=-SHIFT), {"smile-sign"}),
         (_product(shift=0.5 * SHIFT), set()),
+        (_product(irradiance_at=lambda nm: _sky(nm + 10.0)), set()),
         (_in_bands(slice(20, 21), 10.0), {"band-jump"}),
         (_in_bands(slice(None, None, 2), 0.8), {"band-jump"}),
         (_in_bands(slice(20, None), 1.6), {"band-jump"}),
