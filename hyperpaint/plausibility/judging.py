@@ -766,8 +766,9 @@ BAND_RULES = SimpleNamespace(
     # Minimum share of the lit bands [1] over which a correlation is taken, and at least `bands`.
     common=0.5,
     # Correlation of the curvatures of irradiance record and clear sky [1], above which the record is
-    # daylight.
+    # daylight, and largest shift of its wavelengths that is tried [nm].
     daylight=0.7,
+    record_nm=15.0,
     # Minimum shift that is tried [nm]; `hyperpaint.alignment` measures and corrects smaller ones.
     shift_nm=6.0,
     # Range of wavelengths that are tried: band spacing over the declared spacing [1], and shift of the mean
@@ -823,10 +824,24 @@ def judge_bands(
         return
     daylight = _Daylight(wavelength, fwhm, record)
     clear_curvature = _curvature(_Daylight(wavelength, fwhm, None).irradiance_at(wavelength))
-    if (
-        not _correlation(_curvature(daylight.irradiance_at(wavelength)), clear_curvature)
-        > BAND_RULES.daylight
-    ):
+    radiance_curvature = _curvature(light * gain)
+    record_share = float(_correlation(_curvature(daylight.irradiance_at(wavelength)), clear_curvature))
+    if not record_share > BAND_RULES.daylight:
+        # a lamp is smooth, in the record and in the scene
+        scene_share = float(_correlation(radiance_curvature, clear_curvature))
+        shifts = np.arange(-BAND_RULES.record_nm, BAND_RULES.record_nm + 1.0)[:, None]
+        matches = _correlation(radiance_curvature, _curvature(daylight.irradiance_at(wavelength + shifts)))
+        best = int(np.argmax(np.nan_to_num(matches, nan=-1.0)))
+        is_shifted = matches[best] > BAND_RULES.explained
+        if scene_share > BAND_RULES.explained and (is_shifted or record_share < BAND_RULES.unexplained):
+            shifted = f" and {matches[best]:.2f} with {-shifts[best, 0]:.0f} nm added to its wavelengths"
+            yield Finding(
+                KINDS["irradiance-spectrum"],
+                name,
+                f"the correlation of the record with the bands of daylight is {record_share:.2f}"
+                f"{shifted * bool(is_shifted)}; that of the scene is {scene_share:.2f}",
+                f"at least {BAND_RULES.daylight:g}",
+            )
         return
     expected_curvature = _curvature(daylight.irradiance_at(wavelength) / gain)
     curvature = _curvature(light)
@@ -1592,6 +1607,16 @@ def _judge_sample(
         .values.astype(np.float64)
     )
     dark, is_measured = mean_dark(line)
+    daylight, record, fwhm = None, None, 5.0
+    if "wavelength" in line.coords:
+        wavelength = line["wavelength"].values.astype(np.float64)
+        if "fwhm" in line.coords:
+            fwhm = float(np.median(line["fwhm"].values))
+        if "irradiance" in line:
+            record = line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values
+        if not has_white(line):
+            sky = _Daylight(wavelength, fwhm, record).irradiance_at(wavelength)
+            daylight = sky / np.nanmean(gain, axis=1)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
         dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
@@ -1604,7 +1629,9 @@ def _judge_sample(
         )
         fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
-        yield from judge_bands(name, light, np.nanmean(gain, axis=1), line["wavelength"].values, fwhm, record)
+        # a coarse record has no narrow bands of daylight
+        widths = [fwhm, *line["irradiance_fwhm"].values.ravel()] if "irradiance_fwhm" in line else [fwhm]
+        yield from judge_bands(name, light, np.nanmean(gain, axis=1), wavelength, float(max(widths)), record)
         with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # elements without a value
             verdicts = list(judge_product(_product(line, sample, dark, gain, fwhm, saturation_limit)))
         for verdict in verdicts:

@@ -84,6 +84,28 @@ def test_lamps_are_right_and_bands_of_daylight_that_are_shifted_are_not(seed: in
         assert "correlation of the bands with daylight" in _said(shifted, nm, DAYLIGHT)[0]
 
 
+@pytest.mark.parametrize(
+    ("record", "found"),
+    [
+        (0.99 + 1e-4 * np.random.default_rng(5).normal(size=FINE.size), "; that of the scene"),  # a tile
+        (DAYLIGHT[::-1], "; that of the scene"),
+        (np.roll(DAYLIGHT, -20), "with 10 nm added to its wavelengths"),
+        (np.roll(DAYLIGHT, 10), "with -5 nm added to its wavelengths"),
+        (np.roll(DAYLIGHT, 2), None),
+        (0.05 * DAYLIGHT * np.exp((FINE - 700.0) / 300.0), None),  # at dusk
+    ],
+)
+def test_a_record_without_the_bands_that_the_scene_has(record: np.ndarray, found: str | None) -> None:
+    nm = np.linspace(400.0, 1000.0, 66)
+    said = _said(900.0 * _seen(DAYLIGHT, nm), nm, record)
+    assert [found in text and "[irradiance-spectrum]" in text for text in said if found] == [True] * bool(
+        found
+    )
+    assert len(said) == bool(found)
+    # broad bands do not show them
+    assert _said(900.0 * _seen(DAYLIGHT, nm)[::3], nm[::3], record) == []
+
+
 # --- Right darks of which nothing is said, and wrong ones that are named, as plain arrays ---
 
 NM = np.linspace(400.0, 1000.0, 60)
