@@ -585,6 +585,12 @@ _ROWS = (
         refused=False,
     ),
     Kind(
+        "counts-clipped",
+        "Counts of many elements end at one value below the saturation count.",
+        "set bit_depth or saturation_count in [camera]; clipped pixels are not flagged otherwise",
+        refused=False,
+    ),
+    Kind(
         "counts-multiple",
         "All counts share a divisor: a converter of fewer bits was shifted up.",
         "shift counts and dark down, and set bit_depth in [camera]; nothing if the gain is shifted too",
@@ -1505,6 +1511,9 @@ def _differences(array: Floats) -> Floats:
 
 #: Maximum share of elements [1] that a frame counter or status word fills: one column of 640 is below it.
 STRAY_SHARE = 2e-3
+#: Minimum number of elements whose maximum is the highest count, and minimum ratio of it to the number of
+#: elements with a maximum in the next steps: right collects have 3 elements at most, clipped ones hundreds.
+TOP_ELEMENTS, TOP_EXCESS, TOP_STEPS = 24, 5, 4
 
 
 def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:
@@ -1522,6 +1531,21 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
         f"counts up to {max_count}{multiple}, above {limit} in {100 * share:.3g} % of the elements",
         f"at most {limit}, of {bit_depth} bits",
     )
+
+
+def judge_top(name: str, sample: CubeSample, saturation_limit: float) -> Iterator[Finding]:
+    # Find maxima of elements that pile up at one value below saturation; brightness thins out towards its top
+    top = float(sample.maximum.max())
+    below = (sample.maximum < top) & (sample.maximum >= top - TOP_STEPS * max(sample.divisor, 1))
+    is_top = sample.maximum == top
+    least = max(TOP_ELEMENTS, TOP_EXCESS * int(below.sum()))
+    if top < saturation_limit and is_top.sum() >= least and is_top.any(axis=1).sum() > 2:
+        yield Finding(
+            KINDS["counts-clipped"],
+            name,
+            f"the counts of {is_top.sum()} elements end at {top:g}, of {below.sum()} just below",
+            f"an end at the saturation count, {saturation_limit + SATURATION_MARGIN_COUNTS:g}",
+        )
 
 
 def judge_line(
@@ -1592,6 +1616,7 @@ def _judge_sample(
     saturation = float(np.max(line["saturation_count"].values))
     saturation_limit = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
+    yield from judge_top(name, sample, saturation_limit)
     if 0 < sample.counters.sum() <= STRAY_SHARE * sample.counters.size + 8:
         band, column = np.argwhere(sample.counters)[0].tolist()
         yield Finding(

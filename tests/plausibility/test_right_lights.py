@@ -15,6 +15,7 @@ from hyperpaint.plausibility.judging import (
     judge_irradiance,
     judge_navigation,
     judge_range,
+    judge_top,
 )
 from hyperpaint.radiometry.planning import LightLevel
 
@@ -211,6 +212,22 @@ def test_share_of_elements_over_the_range(share: float, name: str) -> None:
     maximum = np.where(np.arange(10_000) < 10_000 * share, 5000.0, 100.0)
     sample = CubeSample(1, maximum, maximum, 1, np.zeros(maximum.shape, bool))
     assert [f.kind.name for f in judge_range("line", sample, 12, 4095.0)] == [name]
+
+
+@pytest.mark.parametrize(
+    ("highest", "named"),
+    [(3000.0, True), (4095.0, False), (9000.0, False)],
+    ids=["clipped", "saturated", "free"],
+)
+def test_counts_that_end_at_one_value_below_saturation(highest: float, named: bool) -> None:
+    maximum = np.minimum(np.random.default_rng(2).normal(2000.0, 600.0, (60, 40)), highest).round()
+    sample = CubeSample(128, maximum, maximum, 1, np.zeros(maximum.shape, bool))
+    assert [f.kind.name for f in judge_top("line", sample, 4090.0)] == ["counts-clipped"] * named
+    # a white roof seen by a camera of 8 bits
+    roof = CubeSample(
+        128, maximum, np.full((60, 40), 199.0) + RNG.integers(2, size=(60, 40)), 1, sample.counters
+    )
+    assert [*judge_top("line", roof, 254.0)] == []
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.035, False), (0.075, True)])
