@@ -1326,6 +1326,9 @@ DARK_RULES = SimpleNamespace(
     lit_sds=3.2,
     lit_refused_sds=8.0,
     lit_most=1.0,
+    # Correlation of the dark's spectrum with daylight [1] that shows light where the slope exceeds
+    # ``lit_most``: right darks have 0.48 at most, those with 0.6 to 1.3 of the light 0.92.
+    lit_daylight=0.75,
     lit_bands=16,
     lit_degree=5,
     # Range of the scene's light over bands, over the range of the dark after this light is subtracted [1],
@@ -1357,10 +1360,17 @@ DARK_RULES = SimpleNamespace(
 
 
 def judge_dark(
-    name: str, dark: Floats, uncertainty: Floats | None, gain: Floats, sample: CubeSample, full: float
+    name: str,
+    dark: Floats,
+    uncertainty: Floats | None,
+    gain: Floats,
+    sample: CubeSample,
+    full: float,
+    daylight: Floats | None = None,
 ) -> Iterator[Finding]:
     # Judge dark counts, all (band, cross_track), against a sample of the scene.
     #
+    # daylight: (band,) counts of a grey scene under the sky, in any unit, None where unknown;
     # uncertainty: standard uncertainty of the mean dark [count], None where unknown; gain: of radiance, in
     # any unit; full: count from which an element is saturated.
     zero_share = float(np.mean((dark == 0.0) & (sample.mean > DARK_RULES.zero_counts)))
@@ -1386,7 +1396,7 @@ def judge_dark(
             f"at most {100 * DARK_RULES.over_share:g} %",
         )
         return
-    yield from _judge_light(name, dark, light_bands)
+    yield from _judge_light(name, dark, light_bands, daylight)
     if uncertainty is not None:
         yield from _judge_pattern(name, dark, uncertainty, gain, sample, full)
 
@@ -1410,8 +1420,8 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
         )
 
 
-def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
-    # Find light of the scene (band,) in a dark (band, cross_track)
+def _judge_light(name: str, dark: Floats, light: Floats, daylight: Floats | None) -> Iterator[Finding]:
+    # Find light of the scene (band,), or daylight (band,), in a dark (band, cross_track)
     finite = np.isfinite(dark).any(axis=1) & np.isfinite(light)
     if finite.sum() < DARK_RULES.lit_bands or not np.ptp(light[finite]) > 0.0:
         return
@@ -1434,6 +1444,17 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
     slope, first, second = (float(part @ scene) / size for part in (whole, *halves))
     freedom = scene.size - DARK_RULES.lit_degree - 2
     u = math.sqrt(float(np.sum((whole - slope * scene) ** 2)) / freedom / size)
+    # most of the light is in the dark: little is left in the scene, and daylight shows in the dark itself
+    sky = np.zeros(scene.shape) if daylight is None else rough(daylight[finite])
+    if np.isfinite(sky).all() and sky.size >= BAND_RULES.bands and not 0.0 < slope <= DARK_RULES.lit_most:
+        share = float(whole @ sky) / math.sqrt(float((whole @ whole) * (sky @ sky)) or 1.0)
+        if share > DARK_RULES.lit_daylight:
+            yield Finding(
+                KINDS["dark-lit"],
+                name,
+                f"the dark's spectrum has a correlation of {share:.2f} with daylight, and little light above",
+                f"under {DARK_RULES.lit_daylight:g}",
+            )
     rest = np.nanmean(columns, axis=1) - slope * light[finite]
     is_significant = (
         DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most and not slope < DARK_RULES.lit_sds * u
@@ -1645,14 +1666,8 @@ def _judge_sample(
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
         dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
-        yield from judge_dark(name, dark, dark_u, gain, sample, saturation_limit)
+        yield from judge_dark(name, dark, dark_u, gain, sample, saturation_limit, daylight)
     if "wavelength" in line.coords:
-        record = (
-            (line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values)
-            if "irradiance" in line
-            else None
-        )
-        fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
         # a coarse record has no narrow bands of daylight
         widths = [fwhm, *line["irradiance_fwhm"].values.ravel()] if "irradiance_fwhm" in line else [fwhm]

@@ -113,11 +113,13 @@ NM = np.linspace(400.0, 1000.0, 60)
 RNG = np.random.default_rng(18)
 
 
-def _said_darks(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None) -> list[str]:
+def _said_darks(
+    dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None, daylight: Any = None
+) -> list[str]:
     sample = CubeSample(128, scene, scene, 1, np.zeros(scene.shape, bool))
     return [
         finding.kind.name
-        for finding in judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
+        for finding in judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0, daylight)
     ]
 
 
@@ -149,9 +151,12 @@ def test_a_gradient_of_the_bias_under_a_spectrum_that_rises_as_well_is_right() -
     rising = np.tile(np.linspace(0.0, 1.0, 60)[:, None] ** 2, 40)
     for light in (_daylight(15.0), 30.0 * rising, 500.0 * rising, _daylight(800.0)):
         assert _said_darks(bias, bias + light) == []
-    for share in (0.1, 0.3):
+    for share in (0.1, 0.3, 0.6, 0.9, 0.99, 1.1):
         light = _daylight(800.0)
-        assert _said_darks(bias + share * light, bias + light) == ["dark-lit"]
+        dark, scene = bias + share * light, bias + light
+        assert _said_darks(dark, scene, daylight=light[:, 0]) == ["dark-lit"]
+    drifted = 1.1 * bias + _daylight(1.0)  # a dark of another temperature under a dim scene
+    assert _said_darks(bias, drifted, daylight=_daylight(1.0)[:, 0]) == []
 
 
 def test_rounded_darks_are_right_and_those_of_another_exposure_are_not() -> None:
