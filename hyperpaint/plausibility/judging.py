@@ -452,6 +452,12 @@ _ROWS = (
         'record the dark again; for dark-corrected counts write cubes = "none" in [dark]',
     ),
     Kind(
+        "dark-missing",
+        'The counts stand on a level that is not light, and [dark] declares cubes = "none".',
+        'name the dark in [dark]; cubes = "none" is for counts whose dark is subtracted',
+        refused=False,
+    ),
+    Kind(
         "dark-over-scene",
         "The dark is brighter than the scene.",
         "name the dark of this exposure and gain, recorded with the lens capped",
@@ -1343,6 +1349,14 @@ DARK_RULES = SimpleNamespace(
     frame_counts=5.0,
     frame_share=0.25,
     frame_drift=0.2,
+    # Counts without a dark: correlation of their bands with daylight's from which they are judged [1],
+    # accepted weakening of these bands [1], accepted darkest counts [count], and their minimum share of the
+    # level that explains the weakening [1]: right collects with weaker bands have 0.45 at most, pedestals
+    # 0.48 to 3.
+    floor_bands=0.7,
+    floor_share=0.15,
+    floor_counts=10.0,
+    floor_level=0.5,
     # Accepted regression slope of the scene's pattern on the dark's [1]: 1 for the matching dark, 0 for a
     # dark of another camera, 2 and 0.5 for a dark of half and twice the exposure; right collects of the
     # fault campaign have 0.88 to 1.36.
@@ -1469,6 +1483,27 @@ def _judge_light(name: str, dark: Floats, light: Floats, daylight: Floats | None
         f"the spectrum of the dark follows the scene, with {100 * slope:.2g} +- {100 * u:.1g} % of its light",
         f"no light, under {100 * DARK_RULES.lit_slope:g} %",
     )
+
+
+def _judge_floor(name: str, blocks: Floats, daylight: Floats) -> Iterator[Finding]:
+    # Find a constant level in counts (block, band, column) that need no dark: it weakens bands of daylight
+    seen, expected = _curvature(np.nanmean(blocks, axis=(0, 2))), _curvature(daylight)
+    usable = np.isfinite(seen) & np.isfinite(expected)
+    if not _correlation(seen, expected) > DARK_RULES.floor_bands:
+        return
+    weakened = 1.0 - float(seen[usable] @ expected[usable]) / float(expected[usable] @ expected[usable])
+    level = weakened * float(np.nanmedian(blocks))
+    lowest = float(np.nanmin(np.nanquantile(blocks, 0.05, axis=(0, 2))))
+    if weakened > DARK_RULES.floor_share and lowest > max(
+        DARK_RULES.floor_counts, DARK_RULES.floor_level * level
+    ):
+        yield Finding(
+            KINDS["dark-missing"],
+            name,
+            f"bands of daylight are weaker by {100 * weakened:.0f} %, as by a level of {level:.0f} counts, "
+            f"and the darkest counts are {lowest:.0f}",
+            f"under {100 * DARK_RULES.floor_share:.0f} %, or dark counts under {DARK_RULES.floor_counts:g}",
+        )
 
 
 def _judge_pattern(
@@ -1667,6 +1702,8 @@ def _judge_sample(
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
         dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
         yield from judge_dark(name, dark, dark_u, gain, sample, saturation_limit, daylight)
+    elif daylight is not None and sample.blocks is not None:
+        yield from _judge_floor(name, np.where(np.isfinite(gain), sample.blocks, np.nan), daylight)
     if "wavelength" in line.coords:
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
         # a coarse record has no narrow bands of daylight

@@ -116,6 +116,19 @@ def test_the_level_of_a_radiance_cube_is_judged(
         assert names == ([] if code is None else [f"reflectance-{code}"])
 
 
+@pytest.mark.parametrize("is_subtracted", [True, False])
+def test_counts_without_a_dark_that_stand_on_a_level(collect: Path, is_subtracted: bool) -> None:
+    dark = np.fromfile(collect.parent / "dark/raw_0", "<u2").reshape(-1, 40 * 24).mean(axis=0)
+    if is_subtracted:
+        _change(
+            collect.parent / "flight/raw_0",
+            lambda counts: np.clip(counts.reshape(40, -1) - dark, 0, None).round(),
+        )
+    collect.write_text(collect.read_text().replace('cubes = ["dark/raw_0.hdr"]', 'cubes = "none"'))
+    assert 'cubes = "none"' in collect.read_text()
+    assert [f.kind.name for f in check_collect(collect)] == ["dark-missing"] * (not is_subtracted)
+
+
 def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_path: Path) -> None:
     def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
         counts[3 :: 40 * 24] = 65535
