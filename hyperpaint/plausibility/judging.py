@@ -304,9 +304,9 @@ def _gain(product: Product) -> Iterator[Verdict]:
     yield Verdict(kind, found, f"1, at least {RULES.foreign_slope:g}", passes)
 
 
-def _pattern(logarithm: Floats) -> Floats:
+def _pattern(array: Floats) -> Floats:
     # Second differences over bands of first differences over columns: spectra and surfaces cancel
-    return np.diff(np.diff(logarithm, 2, axis=0), axis=1) if len(logarithm) > 2 else logarithm[:0, 1:]
+    return np.diff(np.diff(array, 2, axis=0), axis=1) if len(array) > 2 else array[:0, 1:]
 
 
 def _regressed(values: Floats, terms: Floats, weight: Floats | float = 1.0) -> tuple[float, float]:
@@ -343,15 +343,13 @@ def _smile(product: Product) -> Iterator[Verdict]:
     scene, moved = (array - np.nanmedian(array, axis=1, keepdims=True) for array in (scene, moved))
     # most bands are without solar lines, where the term is small and no outlier
     usable = np.isfinite(scene) & np.isfinite(moved)
-    if usable.sum() < RULES.pattern_elements:
-        return
-    usable &= np.abs(scene) <= 8.0 * np.median(np.abs(scene[usable])) + 0.05
+    usable &= np.abs(scene) <= 8.0 * np.nanmedian(np.abs(np.where(usable, scene, np.nan))) + 0.05
     values, terms = scene[usable], moved[usable]
     size = float(terms @ terms)
-    slope = float(values @ terms) / size if size > 0.0 else math.nan
-    u = 3.0 * math.sqrt(float(np.mean((values - slope * terms) ** 2)) / size) if size > 0.0 else math.nan
-    if not slope + RULES.significance * u < math.inf:
+    if values.size < RULES.pattern_elements or not 0.0 < size < math.inf:
         return
+    slope = float(values @ terms) / size
+    u = 3.0 * math.sqrt(float(np.mean((values - slope * terms) ** 2)) / size)
     yield Verdict(
         "smile-sign",
         f"{slope:.2f} +- {u:.2f} of the declared wavelength_shift (smile) is in the columns of the scene",
@@ -1007,17 +1005,16 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
     level = light_level(position, spectra, line["irradiance_wavelength"].values.astype(np.float64), times)
     share = level.median / level.clear
-    if math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share:
-        slip = f", {level.slip}" if level.slip else ""
+    is_refused = math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share
+    if level.doubt:
         yield Finding(
-            KINDS["irradiance-level"],
-            name,
-            f"the median irradiance of 400-1000 nm is {level.median:.3g} W m-2 nm-1, {share:.2g} times "
-            f"a clear sky's at its place and time{slip}",
-            f"{RECORD_RULES.least_share:g} to {RECORD_RULES.most_share:g} times",
+            KINDS["irradiance-level" if is_refused else "irradiance-doubtful"],
+            name if is_refused else RECORD,  # of whose doubts processing warns when it reads the record
+            level.doubt,
+            f"{RECORD_RULES.least_share:g} to {RECORD_RULES.most_share:g} times a clear sky's"
+            if is_refused
+            else "daylight at this place and time",
         )
-    elif level.doubt:  # processing warns of it as well, when it reads the record
-        yield Finding(KINDS["irradiance-doubtful"], RECORD, level.doubt, "daylight at this place and time")
 
 
 def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -> Iterator[Finding]:
@@ -1521,7 +1518,7 @@ def _judge_pattern(
     level = np.nanmedian(np.where(np.isfinite(gain), (sample.mean - dark) * gain, np.nan), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         signal = level[:, None] / gain
-    scene, dark_pattern, gain_pattern = _differences(sample.mean), _differences(dark), _differences(signal)
+    scene, dark_pattern, gain_pattern = (_pattern(array) for array in (sample.mean, dark, signal))
     # residuals of the regression grow with light and noise
     scale = np.hypot(np.maximum(np.abs(signal), 0.0), 0.05 * np.nanmax(np.abs(signal)) + 1.0)[1:-1, 1:]
     # use only differences of unsaturated elements
@@ -1558,11 +1555,6 @@ def _judge_pattern(
         )
 
 
-def _differences(array: Floats) -> Floats:
-    # Second differences over bands of first differences over columns, which remove slow changes
-    return np.asarray(np.diff(np.diff(array, 2, axis=0), axis=1))
-
-
 # -- Check for counts above the range of the camera's converter.
 
 #: Maximum share of elements [1] that a frame counter or status word fills: one column of 640 is below it.
@@ -1595,7 +1587,7 @@ def judge_top(name: str, sample: CubeSample, saturation_limit: float) -> Iterato
     below = (sample.maximum < top) & (sample.maximum >= top - TOP_STEPS * max(sample.divisor, 1))
     is_top = sample.maximum == top
     least = max(TOP_ELEMENTS, TOP_EXCESS * int(below.sum()))
-    if top < saturation_limit and is_top.sum() >= least and is_top.any(axis=1).sum() > 2:
+    if 0.0 < top < saturation_limit and is_top.sum() >= least and is_top.any(axis=1).sum() > 2:
         yield Finding(
             KINDS["counts-clipped"],
             name,
@@ -1691,8 +1683,7 @@ def _judge_sample(
     daylight, record, fwhm = None, None, 5.0
     if "wavelength" in line.coords:
         wavelength = line["wavelength"].values.astype(np.float64)
-        if "fwhm" in line.coords:
-            fwhm = float(np.median(line["fwhm"].values))
+        fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else fwhm
         if "irradiance" in line:
             record = line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values
         if not has_white(line):
