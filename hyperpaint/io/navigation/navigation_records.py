@@ -313,6 +313,8 @@ _COLUMNS = {
 }
 #: Largest magnitude of positions and angles [degree, m].
 LIMITS = dict(_COLUMNS.values())
+#: Lowest altitude [m]: many records write -9999 for an unknown one.
+MIN_ALTITUDE_M = -1000.0
 #: ``latitude longitude altitude roll pitch heading``.
 POSE = tuple(LIMITS)
 #: Fields of the convention of ``imu_gps.txt`` that its maker has not published.
@@ -361,8 +363,7 @@ def check_poses(
     for name, limit in LIMITS.items():
         # heading minus wander angle may exceed a full turn
         maximum = limit if name not in ANGLES else 1.25 * (2.0 * np.pi if unit == "radian" else limit)
-        # -9999 stands for an unknown altitude in many records
-        minimum = -1e3 if name == "altitude" else -maximum
+        minimum = MIN_ALTITUDE_M if name == "altitude" else -maximum
         with np.errstate(invalid="ignore"):
             is_invalid = ~((values[name] >= minimum) & (values[name] <= maximum)) & ~np.isnan(values[name])
         if is_invalid.any():
@@ -493,7 +494,10 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
             name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()
         }
     is_unaligned = np.cumsum(values["roll"] != 0.0) == 0
-    has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
+    # without a fix, or with -9999 for an unknown altitude
+    has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0) | (
+        values["altitude"] < MIN_ALTITUDE_M
+    )
     for name in ANGLES:
         values[name][is_unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):

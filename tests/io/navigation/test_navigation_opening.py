@@ -1019,6 +1019,15 @@ def test_time_of_day_with_a_date_needs_the_offset_of_the_computer(tmp_path: Path
     )
 
 
+def test_rows_without_altitude_have_no_position(tmp_path: Path) -> None:
+    rows = steady(3)
+    rows[1]["alt"] = -9999.0
+    nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", rows))
+    for name in ("latitude", "longitude", "altitude"):
+        assert np.isnan(nav.values[name]).tolist() == [False, True, False]
+    assert np.isfinite(nav.values["roll"]).all()
+
+
 def test_rows_before_alignment_have_no_attitude_and_no_foreign_date(tmp_path: Path) -> None:
     rows = [
         {"stamp": 100, "utc": "1980/01/06 00:00:00.000", "roll": 0.0, "lat": 0.0, "lon": 0.0},
