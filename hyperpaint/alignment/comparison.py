@@ -50,19 +50,13 @@ from hyperpaint.base import (
     one_of,
     rename_to_roles,
     require,
+    responsivity_slope,
     takes_quantities,
     warn_user,
 )
 from hyperpaint.light.clear_sky import disort_tables, sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, line_light, noise_of_record
-from hyperpaint.light.responses import (
-    GAUSSIAN_SIGMA,
-    Matching,
-    Responses,
-    log_slope,
-    matching_operator,
-    mean_responsivity,
-)
+from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
@@ -247,6 +241,7 @@ _OPTIONAL = (
     "wavelength_shift",
     "good",
     "band_spacing",
+    "responsivity_slope",
     "radiance_gain",
     "irradiance_max_gap",
     "srf",
@@ -286,11 +281,6 @@ class Declared:
         )
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength, fwhm = values["wavelength"], values["fwhm"]
-        slope = (
-            log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
-            if "radiance_gain" in values
-            else None
-        )
         max_gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
@@ -303,7 +293,7 @@ class Declared:
                 fwhm,
                 str(dataset.attrs.get("srf_shape", "gaussian")),
                 spacing=values.get("band_spacing"),
-                slope=slope,
+                slope=responsivity_slope(values),
                 offset=values.get("srf_offset"),
                 table=values.get("srf"),
             ),

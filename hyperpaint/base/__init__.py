@@ -15,4 +15,5 @@ from .mirrored_light import *
 from .old_names import *
 from .progress_reports import *
 from .remote_files import *
+from .responsivity import *
 from .schema import *

@@ -234,6 +234,7 @@ _LINE_TABLE = (
     Variable("wavelength", (BAND,), "nm", "float64", "Centre wavelength at the centre column", standard_name="radiation_wavelength", coordinate=True),
     Variable("fwhm", (BAND,), "nm", "float64", "Full width at half maximum of the line shape", coordinate=True),
     Variable("band_spacing", (BAND,), "nm", "float64", "Distance between neighbouring bands of the camera, before bands were selected", coordinate=True),
+    Variable("responsivity_slope", (BAND,), "nm-1", "float64", "Relative slope of the camera's responsivity, before bands and columns were selected", coordinate=True),
     Variable("good", (BAND,), "", "bool", "Whether a band may be used", coordinate=True),
     Variable("wavelength_shift", (CROSS_TRACK,), "nm", "float64", "Wavelength of an element minus that of its band at the centre column (smile)", alternatives=(ELEMENT,), coordinate=True),
     Variable("latitude", _LINE, "degree", "float64", "Latitude of the camera, north positive", standard_name="latitude", coordinate=True),

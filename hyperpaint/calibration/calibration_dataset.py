@@ -35,6 +35,7 @@ from hyperpaint.base import (
     documented,
     dtype_of,
     label,
+    log_slope,
     one_of,
     require,
     same_dimension,
@@ -44,7 +45,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.kernels.line_fits import GAUSSIAN, profiles
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.light.responses import Responses, log_slope
+from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.stray_light import DARK_SUBTRACTED, RAW, Linearity, linearity_of
 
 from .detector import (

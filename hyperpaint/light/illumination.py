@@ -35,13 +35,15 @@ from hyperpaint.base import (
     convert,
     is_number,
     label,
+    log_slope,
     one_of,
+    responsivity_slope,
     takes_quantities,
     warn_user,
 )
 
 from .clear_sky import facing_gain
-from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
+from .responses import Matching, Responses, matching_operator, misfit_through
 from .sun import diffuse_fraction, solar_position
 
 #: Relative change of the 400-1000 nm irradiance between two samples above which the light is unstable.
@@ -550,11 +552,16 @@ def match_irradiance(
     )
     irradiance = convert(irradiance.transpose(*dims), VARIABLES["irradiance"].units, "irradiance")
     channels = channels_of(irradiance)
+    slope = None
+    if responsivity is not None:
+        centres = np.atleast_1d(np.asarray(wavelength, np.float64))
+        widths = np.broadcast_to(np.asarray(fwhm, np.float64), centres.shape)
+        slope = log_slope(centres, np.asarray(responsivity), 2.0 * widths)
     imager = {
         "wavelength": wavelength,
         "fwhm": fwhm,
         "srf_shape": srf_shape,
-        "responsivity": responsivity,
+        "slope": slope,
         "srf_offset": srf_offset,
         "srf": srf,
     }
@@ -588,13 +595,12 @@ def _responses(
 ) -> tuple[Responses, Responses]:
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
-    responsivity = imager.get("responsivity")
     bands = Responses(
         wavelength,
         fwhm,
         imager["srf_shape"],
         spacing=imager.get("spacing"),
-        slope=None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm),
+        slope=imager["slope"],
         offset=imager["srf_offset"],
         table=imager["srf"],
     )
@@ -652,7 +658,6 @@ class RecordDeparture(NamedTuple):
 
 def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
     # Return the imager's responses as `matched_series` takes them, from a flight line's small variables.
-    gain = arrays.get("radiance_gain")
     return {
         "wavelength": np.asarray(arrays["wavelength"], np.float64),
         "fwhm": np.asarray(arrays["fwhm"], np.float64),
@@ -660,7 +665,7 @@ def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
         "srf_shape": srf_shape,
         "srf_offset": arrays.get("srf_offset"),
         "srf": arrays.get("srf"),
-        "responsivity": None if gain is None else mean_responsivity(gain),
+        "slope": responsivity_slope(arrays),
     }
 
 

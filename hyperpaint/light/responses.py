@@ -186,45 +186,6 @@ def spectral_parts(wavelength: ArrayLike) -> list[slice]:
     return [slice(start, stop) for start, stop in itertools.pairwise(edges)]
 
 
-def mean_responsivity(gain: ArrayLike) -> Floats:
-    # Return the mean responsivity of every band, any scale, from gains (band, column).
-    #
-    # Gains that are not positive and finite are left out; NaN for a band without a usable gain.
-    gain = np.asarray(gain, np.float64)
-    usable = np.isfinite(gain) & (gain > 0)
-    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / usable.sum(axis=1))
-
-
-def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
-    # Return d ln R / d wavelength at every band [nm-1].
-    #
-    # It is the slope of a parabola through the neighbours of a band. At the ends of the array, where they lie
-    # on one side, the slope of a straight line would include curvature.
-    #
-    # ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out.
-    # ``width`` (band,) is the half width of the window of the fit [nm].
-    usable = np.isfinite(responsivity) & (responsivity > 0)
-    log = np.log(np.where(usable, responsivity, 1.0))
-    distance = (wavelength - wavelength[:, None]) / width[:, None]
-    is_near = usable & (np.abs(distance) <= 1.0)
-    terms = [np.zeros(is_near.shape) for _ in range(5)]
-    for power, term in enumerate(terms):
-        term[is_near] = (
-            distance[is_near] ** power
-        )  # near bands only: powers of all take longer than the matching
-    sums = [term.sum(axis=1) for term in terms]
-    matrix = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
-    right = np.stack([term @ log for term in terms[:3]], axis=-1)
-    is_determined = np.linalg.det(matrix) > 1e-9  # a parabola needs three different positions
-    slopes = np.zeros(wavelength.shape)
-    slopes[is_determined] = (
-        np.linalg.solve(matrix[is_determined], right[is_determined, :, None])[:, 1, 0] / width[is_determined]
-    )
-    return slopes
-
-
 @dataclass(frozen=True)
 class Matching:
     # Operators from a spectrometer's channels to an imager's bands.

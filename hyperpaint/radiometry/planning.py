@@ -781,6 +781,7 @@ _OPTIONAL = (
     "time",
     "good",
     "band_spacing",
+    "responsivity_slope",
     "wavelength_shift",
     "latitude",
     "longitude",

@@ -849,7 +849,14 @@ def _stray_light_errors(line: xr.Dataset) -> Floats | None:
 def _light_errors(line: xr.Dataset) -> LightErrors:
     names = ["irradiance", "irradiance_fwhm", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     names += ["wavelength", "fwhm"]
-    optional = ("band_spacing", "srf_offset", "srf", "radiance_gain", "irradiance_u_random")
+    optional = (
+        "band_spacing",
+        "responsivity_slope",
+        "srf_offset",
+        "srf",
+        "radiance_gain",
+        "irradiance_u_random",
+    )
     names += [name for name in optional if name in line.variables]
     arrays = {name: array.values for name, array in require(line, names, "noise of light").items()}
     arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}

@@ -8,10 +8,10 @@ from hypothesis import given, strategies as st
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.responsivity import log_slope
 from hyperpaint.light.responses import (
     Responses,
     band_spacing,
-    log_slope,
     matching_operator,
     misfit_through,
 )

@@ -13,6 +13,7 @@ from support.strategies import SHIFT, START, assert_same, flight, labelled, valu
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, TimeError, UnitsError
+from hyperpaint.base.responsivity import responsivity_slope
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.counts_to_reflectance import (
@@ -418,9 +419,15 @@ def test_choosing_bands_first_changes_nothing_for_a_slit() -> None:
     # Rationale: the pixel's width is that of the camera, not the distance of the bands that are left
     line, few = flight(bands=40).line.assign_attrs(srf_shape="slit"), [3, 17, 18, 30]
     spacing = np.abs(np.gradient(line.wavelength.values))
-    known = line.assign_coords(band_spacing=("band", spacing, {"units": "nm"}))
-    # what is left is the slope of the responsivity, which four bands cannot tell
-    np.testing.assert_allclose(values(known.isel(band=few)), values(known)[:, few], rtol=2e-3)
+    slope = responsivity_slope({name: line[name].values for name in ("wavelength", "fwhm", "radiance_gain")})
+    known = line.assign_coords(
+        band_spacing=("band", spacing, {"units": "nm"}), responsivity_slope=("band", slope, {"units": "nm-1"})
+    )
+    np.testing.assert_allclose(values(known.isel(band=few)), values(known)[:, few], rtol=1e-6)
+    # four bands cannot tell the slope
+    without = known.drop_vars("responsivity_slope")
+    np.testing.assert_array_equal(values(without), values(known))
+    np.testing.assert_allclose(values(without.isel(band=few)), values(known)[:, few], rtol=2e-3)
     with pytest.raises(SchemaError, match="band-spacing-missing"):
         values(line.isel(band=few))
 

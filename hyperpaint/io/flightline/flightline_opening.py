@@ -54,6 +54,7 @@ from hyperpaint.base import (
     refuse_other_labels,
     rename_to_roles,
     require,
+    responsivity_slope,
     takes_quantities,
     warn_if,
     warn_user,
@@ -1145,10 +1146,16 @@ def _coordinates(
     if "fwhm" not in coords and inputs.fwhm_nm is not None:
         coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
     if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
-        # stored for every band, so that it remains after a selection of bands
+        # stored for every band, as the slope below, so that it remains after a selection of bands
         coords["band_spacing"] = label(
             xr.DataArray(np.abs(np.gradient(coords["wavelength"].values)), dims=BAND), "band_spacing"
         )
+    if calibration is not None:
+        gain = calibration["radiance_gain"].transpose(*ELEMENT)
+        slope = responsivity_slope(
+            {"radiance_gain": gain.values, **{n: coords[n].values for n in ("wavelength", "fwhm")}}
+        )
+        coords["responsivity_slope"] = label(xr.DataArray(slope, dims=BAND), "responsivity_slope")
     if calibration is not None and "wavelength" in opened.coords:
         difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         warn_if(
