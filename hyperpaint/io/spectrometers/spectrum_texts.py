@@ -1621,6 +1621,11 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         local = None if stamp is None else stamp.read(None if "." in date else form.dayfirst)
         if local is not None and parts["fraction"]:
             local += dt.timedelta(seconds=float(parts["fraction"]))
+        warn_if(
+            local is None,
+            f"{path.name}: {match[0].strip()!r} is no date, or one of two dates; its time is unknown",
+            "time-unreadable",
+        )
         offset = _ZONES.get(parts["zone"] or "")
     seconds, averages, fix = (pattern.search(head) for pattern in (_INTEGRATION, _AVERAGES, _GPS))
     gps = (

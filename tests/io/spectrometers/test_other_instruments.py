@@ -14,7 +14,7 @@ from support import ROOT
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import FormatError, PaintError, TimeError
+from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, TimeError
 from hyperpaint.io.spectrometers.asd import EXPORTS
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_texts import DIALECTS, FORMS, read_spectrum_text
@@ -256,6 +256,14 @@ def test_dates_of_darwin(tmp_path: Path, date: str, expected: str) -> None:
     time = read_spectrum_text(tmp_path / "a.sed").local_time
     assert time is not None
     assert time.date().isoformat() == expected
+
+
+def test_a_date_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    (tmp_path / "a.sed").write_text(
+        darwin("Wvl\tReflect. %", columns(25.0)).replace("03/05/2024", "31/31/2024")
+    )
+    with pytest.warns(PaintWarning, match="time-unreadable"):
+        assert read_spectrum_text(tmp_path / "a.sed").local_time is None
 
 
 def test_zone_and_window_of_a_date(tmp_path: Path) -> None:
