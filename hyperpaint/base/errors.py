@@ -169,7 +169,8 @@ class PaintError(Exception):
         """Raise the error instead of ``errors`` of the block.
 
         ``$whole``, ``$error`` and ``$kind`` in ``found`` are the message of the original, its first 200
-        characters, and its class; ``texts``: see `Problem`.
+        characters, and its class; ``$reason`` is the message of the system for an OSError, else the whole;
+        ``texts``: see `Problem`.
 
         Examples
         --------
@@ -181,7 +182,12 @@ class PaintError(Exception):
         try:
             yield
         except errors as error:
-            words = {"$whole": str(error), "$error": f"{error!s:.200}", "$kind": type(error).__name__}
+            words = {
+                "$whole": str(error),
+                "$error": f"{error!s:.200}",
+                "$kind": type(error).__name__,
+                "$reason": str(getattr(error, "strerror", None) or error),
+            }
             message = re.sub("|".join(map(re.escape, words)), lambda match: words[match[0]], found)
             raise cls(message, **texts) from error
 

@@ -158,15 +158,14 @@ def _quantity(text: object) -> Any:
 @functools.lru_cache(maxsize=1024)
 def _parse(text: str) -> Any:
     units = registry()
-    try:
+    # pint leaks TypeError, tokenize errors and its own classes
+    with UnitsError.instead_of(
+        Exception, f"units {text!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
+    ):
         quantity = units.Quantity(1.0, "") * units.parse_expression(text)
         if not 0.0 < quantity.to_base_units().magnitude < float("inf"):
             raise ValueError
         return quantity
-    except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
-        raise UnitsError(
-            f"units {text!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
-        ) from error
 
 
 def conversion_factor(found: str, wanted: str) -> float:

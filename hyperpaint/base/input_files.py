@@ -91,8 +91,13 @@ a plain URL [url-not-plain]
         mode = os.stat(text).st_mode
     except (OSError, ValueError):
         return Path(text)  # opening it raises the error with the reason
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise error(f"{shown}: {_kind(mode)}", expected=expected, mend=_CHECK_PATH, code="file-special")
+    error.raise_if(
+        not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)),
+        f"{shown}: {_kind(mode)}",
+        expected=expected,
+        mend=_CHECK_PATH,
+        code="file-special",
+    )
     return Path(text)
 
 
@@ -119,13 +124,13 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     # Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
     # bytes.
     file_path = input_path(path, expected)
-    try:
+    with FormatError.instead_of(
+        (OSError, ValueError),
+        f"{origin_of(file_path)}: cannot be read ($reason)",
+        mend=_CHECK_PATH,
+        code="file-unreadable",
+    ):
         descriptor = os.open(file_path, _OPEN_FLAGS)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FormatError(
-            f"{origin_of(file_path)}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
-        ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
         return os.fdopen(descriptor, "rb")
@@ -146,16 +151,12 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
     # Return all bytes of a file; ``expected`` names the kind of file in messages.
     #
     # Raises `FormatError`: As `open_input`.
-    with open_input(path, expected, limit) as file:
-        # read() allocates the requested size
-        try:
-            return file.read(os.fstat(file.fileno()).st_size)
-        except OSError as error:
-            raise FormatError(
-                f"{path}: cannot be read ({error.strerror or error})",
-                mend="copy it again",
-                code="file-unreadable",
-            ) from error
+    unreadable = FormatError.instead_of(
+        OSError, f"{path}: cannot be read ($reason)", mend="copy it again", code="file-unreadable"
+    )
+    # read() allocates the requested size
+    with open_input(path, expected, limit) as file, unreadable:
+        return file.read(os.fstat(file.fileno()).st_size)
 
 
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:

@@ -29,6 +29,10 @@ from hyperpaint.base.errors import warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+_OPTIONS = {"nogil": True, "error_model": "numpy"}
+# `_nrt` is private to numba; only speed depends on it
+_BORROWING = {**_OPTIONS, **({"_nrt": False} if hasattr(CPUTargetOptions, "_nrt") else {})}
+
 
 def kernel(function: Function) -> Function:
     # Compile a loop on its first call.
@@ -40,7 +44,7 @@ def kernel(function: Function) -> Function:
     # Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else in the user's cache
     # folder, else, where that is read-only, beside the package. Where none can be written (a container with a
     # read-only disk, a full disk) every process compiles its kernels, with a warning.
-    return _compiled(function, {"nogil": True, "error_model": "numpy"})
+    return _compiled(function, _OPTIONS)
 
 
 def borrowing_kernel(function: Function) -> Function:
@@ -48,21 +52,14 @@ def borrowing_kernel(function: Function) -> Function:
     #
     # The caller owns all arrays, so references are not counted. In a short function that is called for every
     # ray, counting takes longer than the computation, and threads that share arrays wait for the counter.
-    return _compiled(function, _borrowing_options())
+    return _compiled(function, _BORROWING)
 
 
 def inlined_kernel(function: Function) -> Function:
     # Compile a loop over one row as `borrowing_kernel` does, inlined in every caller.
     #
     # For a row of a few hundred samples, passing arrays takes half as long as the computation.
-    return _compiled(function, {**_borrowing_options(), "forceinline": True})
-
-
-def _borrowing_options() -> dict[str, Any]:
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    if hasattr(CPUTargetOptions, "_nrt"):  # private to numba; only speed depends on it
-        options["_nrt"] = False
-    return options
+    return _compiled(function, {**_BORROWING, "forceinline": True})
 
 
 @functools.cache

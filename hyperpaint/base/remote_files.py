@@ -309,35 +309,32 @@ def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
     #
     # Raises `FormatError`: They cannot be read, or are together above `MAX_COPY_BYTES`.
     with _LOCK:
-        _fetch({place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS})
-
-
-def _fetch(urls: Mapping[str, str]) -> None:
-    by_scheme: dict[str, list[str]] = {}
-    for place, url in urls.items():
-        by_scheme.setdefault(url.partition("://")[0], []).append(place)
-    for places in by_scheme.values():
-        fs, _ = file_system(urls[places[0]])
-        keys = [file_system(urls[place])[1] for place in places]
-        subject = urls[places[0]] if len(places) == 1 else f"{urls[places[0]]} and {len(places) - 1} more"
-        with _errors_of(subject), tempfile.TemporaryDirectory(dir=_mirror()[0]) as folder:
-            size = sum(size or 0 for size in fs.sizes(keys))
-            FormatError.raise_if(
-                size > MAX_COPY_BYTES,
-                f"{subject}: {size} bytes",
-                expected=f"at most {MAX_COPY_BYTES}",
-                mend="download it, and give the path of the copy",
-                code="file-too-large",
-            )
-            copies = [os.path.join(folder, str(number)) for number in range(len(places))]
-            with FormatError.instead_of(
-                FileNotFoundError, f"{subject}: $error is no longer there", code="file-unreadable"
-            ):
-                fs.get(keys, copies)
-            for place, copy in zip(places, copies, strict=True):
-                shutil.move(copy, place)
-                _STATES[place] = _STATES.get(place) or _content_state(fs.info(file_system(urls[place])[1]))
-                _PLACEHOLDERS.pop(place, None)
+        urls = {place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS}
+        by_scheme: dict[str, list[str]] = {}
+        for place, url in urls.items():
+            by_scheme.setdefault(url.partition("://")[0], []).append(place)
+        for places in by_scheme.values():
+            fs, _ = file_system(urls[places[0]])
+            keys = [file_system(urls[place])[1] for place in places]
+            subject = urls[places[0]] if len(places) == 1 else f"{urls[places[0]]} and {len(places) - 1} more"
+            with _errors_of(subject), tempfile.TemporaryDirectory(dir=_mirror()[0]) as folder:
+                size = sum(size or 0 for size in fs.sizes(keys))
+                FormatError.raise_if(
+                    size > MAX_COPY_BYTES,
+                    f"{subject}: {size} bytes",
+                    expected=f"at most {MAX_COPY_BYTES}",
+                    mend="download it, and give the path of the copy",
+                    code="file-too-large",
+                )
+                copies = [os.path.join(folder, str(number)) for number in range(len(places))]
+                with FormatError.instead_of(
+                    FileNotFoundError, f"{subject}: $error is no longer there", code="file-unreadable"
+                ):
+                    fs.get(keys, copies)
+                for place, key, copy in zip(places, keys, copies, strict=True):
+                    shutil.move(copy, place)
+                    _STATES[place] = _STATES.get(place) or _content_state(fs.info(key))
+                    del _PLACEHOLDERS[place]
 
 
 def remote_states(url: str, only: str = "") -> list[tuple[str, str]]:

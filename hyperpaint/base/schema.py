@@ -83,12 +83,8 @@ class Variable:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        attrs: dict[str, Any] = {"long_name": self.meaning}
-        if self.units:
-            attrs["units"] = self.units
-        if self.standard_name:
-            attrs["standard_name"] = self.standard_name
-        return attrs
+        texts = {"long_name": self.meaning, "units": self.units, "standard_name": self.standard_name}
+        return {key: text for key, text in texts.items() if text}
 
     @property
     def allowed_dims(self) -> tuple[tuple[str, ...], ...]:
