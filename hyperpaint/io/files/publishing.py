@@ -271,13 +271,9 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
                 code="path-not-folder",
             )
         else:
-            try:
+            with StoreError.instead_of(OSError, f"{target} cannot be read: $reason", code="file-unreadable"):
                 is_empty = not any(target.iterdir())
                 content = "" if is_empty else foreign(target)
-            except OSError as error:
-                raise StoreError(
-                    f"{target} cannot be read: {error.strerror or error}", code="file-unreadable"
-                ) from error
             StoreError.raise_if(
                 content,
                 f"{target} holds {content}",

@@ -790,12 +790,12 @@ class TableReader:
             for match in filter(_is_special, matches):  # reported, since a missing match would not be noticed
                 self._note_special(f"{place} {key} = {text!r}: {match}")
             paths += matches
-            if not matches:
-                self.problems.add(
-                    f"{place} {key} = {text!r} matches no file in {folder or base}",
-                    mend=_RELATIVE,
-                    code="file-not-found",
-                )
+            self.problems.add_if(
+                not matches,
+                f"{place} {key} = {text!r} matches no file in {folder or base}",
+                mend=_RELATIVE,
+                code="file-not-found",
+            )
         self._fetch(key, paths)
         return tuple(dict.fromkeys(paths))
 

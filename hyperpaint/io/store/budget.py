@@ -19,6 +19,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
@@ -209,11 +210,7 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, min_bytes: int 
     # step, which does not depend on threads; all in bytes.
     #
     # Raises `StoreError`: One thread exceeds the limit.
-    from dask.base import get_scheduler
-
-    # without an import of distributed there is no client
-    scheduler = get_scheduler() if "distributed" in sys.modules else None
-    if hasattr(getattr(scheduler, "__self__", None), "scheduler_info"):
+    if client_in_force() is not None:
         yield
         return
     resident = resident_memory()
@@ -349,6 +346,25 @@ def resident_memory() -> int:
 # --- threads -----------------------------------------------------------------------------------------------
 
 
+def client_in_force() -> Any:
+    # Return the current client of dask.distributed, None without a cluster.
+    client = getattr(scheduler_in_force(), "__self__", None)
+    return client if hasattr(client, "scheduler_info") else None
+
+
+def scheduler_in_force() -> Any:
+    # Return the scheduler with which dask computes arrays.
+    #
+    # Without an import of distributed there is no client. dask would import it to look for one, which takes a
+    # quarter of a second.
+    import dask
+    import dask.threaded
+    from dask.base import get_scheduler
+
+    is_chosen = "distributed" in sys.modules or dask.config.get("scheduler", None)
+    return (is_chosen and get_scheduler()) or dask.threaded.get
+
+
 def thread_count() -> int:
     # Return the number of threads that dask would use.
     import dask
@@ -391,12 +407,12 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
             elif variable.chunks and variable.size:
                 sizes = tuple(map(max, variable.chunks))
                 block = math.prod(sizes) * variable.dtype.itemsize + fixed
-                if block > available:
-                    problems.add(
-                        f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
-                        mend="take smaller chunks, end other programs, or raise the memory limit",
-                        code="memory-short",
-                    )
+                problems.add_if(
+                    block > available,
+                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
+                    mend="take smaller chunks, end other programs, or raise the memory limit",
+                    code="memory-short",
+                )
     if not cubes or not all(v.size for v in cubes):
         return None
     length = cubes[0].sizes[ALONG_TRACK]

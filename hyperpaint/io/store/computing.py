@@ -69,7 +69,7 @@ from hyperpaint.base import (
     one_of,
 )
 
-from .budget import MARGIN, size_text, thread_space
+from .budget import MARGIN, client_in_force, scheduler_in_force, size_text, thread_space
 from .manifest import Location, replace_file, sync
 
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
@@ -100,6 +100,13 @@ Codec = Literal["compact", "fast"]
 
 _SHUFFLES: Mapping[Codec, tuple[str, int]] = {"compact": ("bitshuffle", 2), "fast": ("shuffle", 1)}
 _LZ4 = {"cname": "lz4", "clevel": 5}
+# By kind of dtype. NaN needs no `_FillValue`, for which readers would search all values.
+_ENCODINGS: Mapping[str, Mapping[str, Any]] = {
+    "f": {"_FillValue": None},
+    "c": {"_FillValue": None},
+    "M": {"units": TIME_UNITS, "dtype": "int64"},
+    "m": {"units": "nanoseconds", "dtype": "int64"},
+}
 
 
 def storage_chunks(
@@ -231,23 +238,14 @@ def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str
     dtype = variable.dtype
     typesize = dtype.itemsize if dtype.kind in "biufcmM" else 1
     shuffle, _ = _SHUFFLES[codec]
-    encoding: dict[str, Any] = {
+    fill = fill_value(dtype)
+    return {
         "compressors": (BloscCodec(typesize=typesize, shuffle=shuffle, **_LZ4), Crc32cCodec()),
         "write_empty_chunks": True,
+        **({"chunks": chunks_of(variable)} if variable.ndim else {}),
+        **({} if fill is None else {"fill_value": fill}),
+        **_ENCODINGS.get(dtype.kind, {}),
     }
-    if variable.ndim:
-        encoding["chunks"] = chunks_of(variable)
-    fill = fill_value(dtype)
-    if fill is not None:
-        encoding["fill_value"] = fill
-    if dtype.kind in "fc":
-        # NaN needs no `_FillValue`, for which readers would search all values
-        encoding["_FillValue"] = None
-    elif dtype.kind == "M":
-        encoding |= {"units": TIME_UNITS, "dtype": "int64"}
-    elif dtype.kind == "m":
-        encoding |= {"units": "nanoseconds", "dtype": "int64"}
-    return encoding
 
 
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
@@ -868,25 +866,6 @@ def compute(
     return sums
 
 
-def client_in_force() -> Client | None:
-    # Return the current client of dask.distributed, None without a cluster.
-    client = getattr(scheduler_in_force(), "__self__", None)
-    return client if hasattr(client, "scheduler_info") else None
-
-
-def scheduler_in_force() -> Any:
-    # Return the scheduler with which dask computes arrays.
-    #
-    # Without an import of distributed there is no client. dask would import it to look for one, which takes a
-    # quarter of a second.
-    import dask
-    import dask.threaded
-    from dask.base import get_scheduler
-
-    is_chosen = "distributed" in sys.modules or dask.config.get("scheduler", None)
-    return (is_chosen and get_scheduler()) or dask.threaded.get
-
-
 @contextlib.contextmanager
 def errors_of_the_cluster(subject: str) -> Iterator[None]:
     # Raise a StoreError for lost workers or a lost scheduler; ``subject`` begins the message.
@@ -937,16 +916,14 @@ def _on_threads(
 
 
 #: Futures by key, of every group that is being written, so that another thread can cancel them.
-_running: contextvars.ContextVar[dict[int, dict[Key, Any]] | None] = contextvars.ContextVar(
-    "running", default=None
-)
+_running: contextvars.ContextVar[dict[int, dict[Key, Any]]] = contextvars.ContextVar("running")
 #: Time without any worker after which a write gives up [s]; workers of cloud services start within minutes.
 LOST_WAIT = 300.0
 
 
 def _cancel_all(reason: str, own: Client | None = None) -> None:
     # Cancel the writes that run, and all that a client of our own waits for
-    for futures_by_key in list((_running.get() or {}).values()):
+    for futures_by_key in list(_running.get({}).values()):
         with contextlib.suppress(Exception):  # the scheduler may be lost
             futures = list(futures_by_key.values())
             futures[0].client.cancel(futures, force=True, reason=reason)
@@ -991,9 +968,7 @@ def _cancelled_at_the_end(futures: Iterable[Any]) -> Iterator[dict[Key, Any]]:
     # Futures by key; those that are left at the end are cancelled. A traceback keeps the futures of failed
     # tasks, and the next run would get them.
     futures_by_key = {future.key: future for future in futures}
-    running = _running.get()
-    if running is None:  # outside `watched`
-        running = {}
+    running = _running.get({})  # empty outside `watched`
     running[id(futures_by_key)] = futures_by_key
     try:
         yield futures_by_key

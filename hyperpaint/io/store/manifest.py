@@ -84,10 +84,10 @@ def _json_object(raw: bytes, where: str) -> dict[str, Any]:
         f"{where} has more than {MAX_VALUES} values",
         code="file-too-large",
     )
-    try:
+    with IncompleteStoreError.instead_of(
+        (ValueError, RecursionError), f"{where} is damaged: $error", code="metadata-damaged"
+    ):
         document: dict[str, Any] = json.loads(raw)
-    except (ValueError, RecursionError) as error:
-        raise IncompleteStoreError(f"{where} is damaged: {error!s:.200}", code="metadata-damaged") from None
     IncompleteStoreError.raise_if(
         not isinstance(document, dict),
         f"{where} is damaged",
@@ -111,15 +111,14 @@ class Location:
         #
         # Raises `MissingExtraError`: The package for this kind of URL is not installed.
         # Raises `StoreError`: The kind of URL is unknown, or it cannot be opened.
-        try:
+        with StoreError.instead_of(
+            TypeError,
+            f"store given as {type(path).__name__}",
+            expected="a folder or URL",
+            mend="open it by open_store(store, group) or xarray.open_zarr(store, group=group)",
+            code="type-wrong",
+        ):
             text = os.fspath(path)
-        except TypeError:
-            raise StoreError(
-                f"store given as {type(path).__name__}",
-                expected="a folder or URL",
-                mend="open it by open_store(store, group) or xarray.open_zarr(store, group=group)",
-                code="type-wrong",
-            ) from None
         if "::" in text or "\0" in text:
             # a chained URL can start a cluster (dask::), or copy or unpack files
             kind = "a chained URL" if "::" in text else "a name with a NUL character"
@@ -458,7 +457,13 @@ class Manifest:
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> "Manifest":
         # Return the manifest in a ``zarr.json``; `IncompleteStoreError` if it is damaged or newer.
-        try:
+        with IncompleteStoreError.instead_of(
+            (ValueError, KeyError, TypeError, IndexError, AttributeError, StoreError),
+            f"the manifest {where} is damaged ($error)",
+            mend="write all groups of the store with overwrite=True",
+            option="run its command again with --overwrite; complete groups stay",
+            code="manifest-damaged",
+        ):
             attributes = document["attributes"]
             version, content = attributes["hyperpaint_format"], attributes["manifest"]
             if version != FORMAT_VERSION:
@@ -486,13 +491,6 @@ class Manifest:
             if len(writes) > MAX_WRITES:
                 raise ValueError(f"{len(writes)} writes have not ended")
             return cls(groups, writes, str(content["command"]))
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError, StoreError) as error:
-            raise IncompleteStoreError(
-                f"the manifest {where} is damaged ({error!s:.100})",
-                mend="write all groups of the store with overwrite=True",
-                option="run its command again with --overwrite; complete groups stay",
-                code="manifest-damaged",
-            ) from None
 
     @classmethod
     def read(cls, location: Location, *, ignore_damage: bool = False) -> "Manifest | None":

@@ -79,10 +79,8 @@ class RawFile:
         # Raises `StoreError`: The file cannot be reached, or icechunk cannot read such URLs.
         check_url(url)
         if url.startswith("file:"):
-            try:
+            with StoreError.instead_of(OSError, f"{url}: $reason", code="file-unreadable"):
                 status = os.stat(_local_path(url))
-            except OSError as error:
-                raise StoreError(f"{url}: {error.strerror}", code="file-unreadable") from error
             StoreError.raise_if(
                 not stat.S_ISREG(status.st_mode),
                 f"{url} is not a regular file",

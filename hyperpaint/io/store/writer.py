@@ -60,7 +60,7 @@ from hyperpaint.base import (
 )
 
 from . import computing
-from .budget import check_memory, limited_threads, thread_space
+from .budget import check_memory, client_in_force, limited_threads, thread_space
 from .computing import Layout, check_disk, disk_needed, errors_of_the_system, exchange, flush_group
 from .manifest import (
     CONTENT,
@@ -811,7 +811,7 @@ def _writer(
         if command and overwrite and (Write({}, manifest.command).source == write.source):
             groups = {name: entry for name, entry in groups.items() if location.has(name, METADATA)}
         manifest = Manifest(groups, writes, command or manifest.command)
-        stack.enter_context(computing.watched(computing.client_in_force()))
+        stack.enter_context(computing.watched(client_in_force()))
         yield StoreWriter(location, stage, manifest, write, attrs, pending)
 
 
@@ -1204,7 +1204,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 def _check_room(jobs: list[Job], location: Location) -> int | None:
     # Raise for groups that exceed disk or memory; return the possible number of threads, None for any
     _check_disk(jobs, location)
-    if computing.client_in_force() is not None:
+    if client_in_force() is not None:
         return None  # the workers have their own memory
     threads = [check_memory(job.dataset, f"group {'/' + job.group!r}") for job in jobs]
     return min((count for count in threads if count is not None), default=None)
