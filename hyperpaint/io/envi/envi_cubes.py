@@ -1292,6 +1292,7 @@ def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_by
     return header_offset + (first + lines * np.arange(count, dtype=np.int64)) * line_bytes
 
 
+@dataclass(frozen=True)
 class EnviParser:
     """A parser of VirtualiZarr for ENVI cubes, such as those of Headwall's recorders.
 
@@ -1315,9 +1316,8 @@ class EnviParser:
     >>> cube = open_virtual_dataset(url, registry=registry, parser=parser)        # doctest: +SKIP
     """
 
-    def __init__(self, variable: str = "counts", lines: int | None = None) -> None:
-        self.variable = variable
-        self.lines = lines
+    variable: str = "counts"
+    lines: int | None = None
 
     def __call__(self, url: str, registry: Any) -> "ManifestStore":
         """Return the cube as a store of references.

@@ -142,14 +142,14 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     >>> scratch.cleanup()
     """
     path = as_path(path)
-    lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
-    if lines is None or not names:
-        raise SchemaError(
-            f"no variable has the only dim {ALONG_TRACK!r}, dims are {dict(line.sizes)}",
-            mend="pass a flight line",
-            code="dim-missing",
-        )
+    SchemaError.raise_if(
+        not names,
+        f"no variable has the only dim {ALONG_TRACK!r}, dims are {dict(line.sizes)}",
+        mend="pass a flight line",
+        code="dim-missing",
+    )
+    lines = line.sizes[ALONG_TRACK]
     names += [name for name in _FIRST_COLUMNS if name in line.variables and line.variables[name].dims == ()]
     order = {name: number for number, name in enumerate(_FIRST_COLUMNS)}
     columns: dict[str, Any] = {}
@@ -167,7 +167,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     ):
         file.writelines(f"# {key}: {value}\n" for key, value in declared.items())
         file.write(",".join(["line", *columns]) + "\n")
-        cells = (map(str, range(line.sizes[ALONG_TRACK])), *map(_texts, columns.values()))
+        cells = (map(str, range(lines)), *map(_texts, columns.values()))
         file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
     return path
 
@@ -226,18 +226,6 @@ class LineTimes:
     dropped: int  #: Number of frames missing between the first and the last line, blank lines included.
     source: str  #: Source of the times.
 
-    @classmethod
-    def unknown(cls, lines: int) -> "LineTimes":
-        # Return the numbers of lines that have no times.
-        return cls(
-            np.arange(lines),
-            np.ones(lines, bool),
-            np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]"),
-            {},
-            0,
-            UNKNOWN_TIMES,
-        )
-
 
 def utc_of(value: Any, name: str) -> np.datetime64:
     """Return an instant as datetime64[ns] UTC.
@@ -255,20 +243,19 @@ def utc_of(value: Any, name: str) -> np.datetime64:
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return np.datetime64(value.astype("datetime64[ns]").astype(np.int64).item(), "ns")
     if isinstance(value, str):
-        try:
+        with TimeError.instead_of(
+            ValueError,
+            f"{name} {value[:60]!r} is not a time",
+            expected="a time such as '2024-06-01T12:00:00Z'",
+            code="time-unreadable",
+        ):
             value = datetime.datetime.fromisoformat(value.strip())
-        except ValueError as error:
-            raise TimeError(
-                f"{name} {value[:60]!r} is not a time",
-                expected="a time such as '2024-06-01T12:00:00Z'",
-                code="time-unreadable",
-            ) from error
-    if not isinstance(value, datetime.datetime) or value.tzinfo is None:
-        raise TimeError(
-            f"{name} {value!s:.60} has no zone",
-            mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
-            code="zone-missing",
-        )
+    TimeError.raise_if(
+        not isinstance(value, datetime.datetime) or value.tzinfo is None,
+        f"{name} {value!s:.60} has no zone",
+        mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
+        code="zone-missing",
+    )
     TimeError.raise_if(
         not 1980 <= value.year <= 2200,
         f"{name} {value!s:.60} is out of range",
@@ -924,7 +911,9 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
             inputs = replace(inputs, timing=replace(timing, start_time=start, frame_period=period))
             timing = cast(Timing, inputs.timing)
     if cube is not None and inputs.has_white and timing.frame_index is None and timing.start_time is None:
-        times = LineTimes.unknown(cube.sizes[ALONG_TRACK])
+        numbers = np.arange(cube.sizes[ALONG_TRACK])
+        unknown_time = np.full(numbers.shape, np.datetime64("NaT", "ns"), "datetime64[ns]")
+        times = LineTimes(numbers, np.ones(numbers.shape, bool), unknown_time, {}, 0, UNKNOWN_TIMES)
     elif cube is not None and timing is inputs.timing:
         times = findings.attempt(
             line_times,

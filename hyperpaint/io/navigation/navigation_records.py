@@ -31,7 +31,6 @@ last: surveyed coordinates, and the pixels where the points are visible.
 import contextlib
 import csv
 import datetime
-import datetime as dt
 import itertools
 import os
 import re
@@ -79,7 +78,6 @@ from hyperpaint.base import (
     same_dimension,
     takes_quantities,
     warn_if,
-    warn_user,
 )
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import (
@@ -94,7 +92,7 @@ from hyperpaint.io.files.reading import (
     table_of,
     to_integers,
 )
-from hyperpaint.io.flightline.side_files import FrameIndex, check_increasing, time_of_day
+from hyperpaint.io.flightline.side_files import DAY_US, FrameIndex, check_increasing, time_of_day
 from hyperpaint.io.store import is_zarr, load_group
 
 #: GPS time minus UTC [s], valid from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC - 19 s).
@@ -121,7 +119,6 @@ CLOCK_LIMITS = SimpleNamespace(
     min_clock_step_ns=200 * 1_000_000,  # larger than the drift of any clock between two rows
 )
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
-_DAY_US = 86_400_000_000
 
 
 def gps_to_utc(gps: Ints, leap_seconds: int | None = None) -> Ints:
@@ -149,12 +146,12 @@ def gps_to_utc(gps: Ints, leap_seconds: int | None = None) -> Ints:
         mend="check that this clock counts GPS time",
         code="time-before-gps",
     )
-    if np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)):
-        warn_user(
-            f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
-            "later times; check this value, and pass gps_leap_seconds",
-            "leap-seconds-expired",
-        )
+    warn_if(
+        np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)),
+        f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
+        "later times; check this value, and pass gps_leap_seconds",
+        "leap-seconds-expired",
+    )
     utc: Ints = gps - offsets[number] * NS_PER_S
     return utc
 
@@ -200,13 +197,13 @@ def refuse_backwards(name: str, stamp: Ints, rows: Ints | None = None, row: str 
     # rows: Numbers of the record's rows in the file, by default from 1 on.
     # Raises TimeError: Time runs backwards; the rows are listed.
     backward_rows = np.flatnonzero(np.diff(stamp) < 0) + 1
-    if backward_rows.size:
-        row_numbers = backward_rows + 1 if rows is None else rows[backward_rows]
-        raise TimeError(
-            f"{name}: time runs backwards in {name_rows(row_numbers, row)}",
-            mend="delete or reorder these rows",
-            code="time-unordered",
-        )
+    row_numbers = backward_rows + 1 if rows is None else rows[backward_rows]
+    TimeError.raise_if(
+        row_numbers.size,
+        f"{name}: time runs backwards in {name_rows(row_numbers, row)}",
+        mend="delete or reorder these rows",
+        code="time-unordered",
+    )
 
 
 @dataclass(frozen=True)
@@ -244,7 +241,7 @@ class Clock:
     def at(self, stamp: Ints) -> Times:
         # Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot.
         if self.daily:
-            stamp = stamp + next((d for d in (0, _DAY_US, -_DAY_US) if overlap(stamp + d, self.stamp)), 0)
+            stamp = stamp + next((d for d in (0, DAY_US, -DAY_US) if overlap(stamp + d, self.stamp)), 0)
         knot, weight, is_inside = bracket(self.stamp, stamp)
         utc = self.utc[knot] + np.round(
             weight * (self.utc[np.minimum(knot + 1, len(self.utc) - 1)] - self.utc[knot]).astype(np.float64)
@@ -1244,7 +1241,14 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         if reduce(xor, sentence.encode("latin-1")) != int(checksum, 16):
             damaged += 1
             continue
-        log.take(sentence.split(","))
+        try:
+            log.take(sentence.split(","))
+        except (ValueError, LookupError, OverflowError):
+            log.problems.add_if(
+                len(log.problems) < 5,
+                f"sentence {sentence[:60]!r} does not follow NMEA 0183",
+                code="row-unreadable",
+            )
         if len(log.rows) > SENTENCES.max_positions:
             break
     FormatError.raise_if(
@@ -1316,16 +1320,7 @@ class _Log:
         self._attitudes_ahead: dict[float, dict[str, float]] = {}
 
     def take(self, fields: list[str]) -> None:
-        try:
-            self._take(fields)
-        except (ValueError, LookupError, OverflowError):
-            self.problems.add_if(
-                len(self.problems) < 5,
-                f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183",
-                code="row-unreadable",
-            )
-
-    def _take(self, fields: list[str]) -> None:
+        # Raises ValueError, LookupError, OverflowError: the fields do not follow NMEA 0183.
         match fields[0][-3:]:
             case "GGA" if int(fields[6] or 0) in SENTENCES.measured_qualities and fields[2]:
                 seconds = self._record_seconds(fields[1])
@@ -1384,7 +1379,7 @@ class _Log:
         seconds = self._record_seconds(clock)
         if not 1980 <= year < 2200:  # nanoseconds overflow, or a receiver without a fix writes its epoch
             raise ValueError(year)
-        date = dt.date(year, month, day)  # refuses days that do not exist
+        date = datetime.date(year, month, day)  # refuses days that do not exist
         if self.first_day is None:
             midnight = int(np.datetime64(date, "ns").astype(np.int64))
             self.first_day = midnight - int(seconds // SENTENCES.day_s) * SENTENCES.day_s * NS_PER_S
@@ -2073,12 +2068,12 @@ def column_heading(cell: str) -> tuple[str, str]:
 def metres_of(name: str, unit: str, problems: Problems) -> float:
     # Return the size of a column's unit in metres; 1 without a unit, and for a wrong one, which is noted.
     metres = _metres(unit or "m")
-    if metres is None:
-        problems.add(
-            f"column {name!r} in {unit!r:.40}",
-            expected="a unit of length, such as [m] or [ft]",
-            code="units-unknown",
-        )
+    problems.add_if(
+        metres is None,
+        f"column {name!r} in {unit!r:.40}",
+        expected="a unit of length, such as [m] or [ft]",
+        code="units-unknown",
+    )
     return metres or 1.0
 
 
