@@ -80,10 +80,6 @@ def _is_span(value: Any) -> bool:
     return is_int_pair and 0 <= value[0] < value[1] < 2**31
 
 
-def _text(name: str, doc: str, **options: Any) -> Fact:
-    return Fact(name=name, doc=doc, **options)
-
-
 def _number(name: str, doc: str, **options: Any) -> Fact:
     return Fact(name=name, kind="number", doc=doc, **options)
 
@@ -99,9 +95,9 @@ _SPAN: Any = {
     "phrase": "two whole numbers: the first index, and the index after the last",
     "needed": True, "example": [70, 84],
 }  # fmt: skip
-_SURFACE = _text(
-    "surface",
-    "surface of the panel or tile, for its reflectance by direction: lambertian, "
+_SURFACE = Fact(
+    name="surface",
+    doc="surface of the panel or tile, for its reflectance by direction: lambertian, "
     "sintered-ptfe (such as Spectralon, white), or a file of its own factors",
     default=PANEL_SURFACES[0],
     example=PANEL_SURFACES[1],
@@ -111,8 +107,8 @@ _EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
 #: Facts of every key of every table.
 SCHEMA: Mapping[str, Facts] = {
     "collect": by_key([
-        _text("name", "name of the collect; by default the name of its folder"),
-        _text("description", "description of the collect, a free text"),
+        Fact(name="name", doc="name of the collect; by default the name of its folder"),
+        Fact(name="description", doc="description of the collect, a free text"),
     ]),
     "camera": by_key([
         Fact(name="bit_depth", kind="whole", doc="number of bits of the camera's analogue-digital converter",
@@ -135,7 +131,7 @@ SCHEMA: Mapping[str, Facts] = {
              example=18),
         _number("fwhm_nm", "full width at half maximum of the bands, if no file states it", unit="nm",
                 least=0, above=True),
-        _text("radiance_units", "units of a cube of radiance, if its header does not state them"),
+        Fact(name="radiance_units", doc="units of a cube of radiance, if its header does not state them"),
         _choice("quantity",
                 "physical quantity of the cubes, if their headers do not state it",
                 "counts", "radiance"),
@@ -145,29 +141,28 @@ SCHEMA: Mapping[str, Facts] = {
         _number("ground",
                 "height of level ground above the ellipsoid; an alternative to dem",
                 unit="m", example=160.0),
-        _text("dem", "raster file of ground heights; an alternative to ground", example="dsm.tif"),
+        Fact(name="dem", doc="raster file of ground heights; an alternative to ground", example="dsm.tif"),
         _choice("dem_heights", "surface from which the heights in the raster dem are measured", *_HEIGHTS),
         _number("geoid", "height of the geoid above the ellipsoid; for dem_heights = \"geoid\"", unit="m"),
         _number("fov_deg", "angle between the outer edges of the first and last column; an alternative to "
                 "look_angle", unit="degree", least=0, above=True, example=22.3),
-        _text("look_angle",
-              "file with the look angle of every column; an alternative to fov_deg",
-              example="angles.txt"),
+        Fact(name="look_angle", doc="file with the look angle of every column; an alternative to fov_deg",
+             example="angles.txt"),
         Fact(name="boresight_deg", kind="numbers", length=3, unit="degree", default=[0.0, 0.0, 0.0],
              doc="mounting angles of the camera on the platform: roll, pitch and heading"),
         Fact(name="lever_arm_m", kind="numbers", length=3, unit="m", default=[0.0, 0.0, 0.0],
              doc="vector from the navigation antenna to the camera: forward, right and down"),
     ]),
     "calibration": by_key([
-        _text("path",
-              "calibration file, written by hyperpaint calibrate; an alternative to sweep",
-              example="calibration.zarr"),
-        _text("sweep",
-              "file of a lab sweep, from which the calibration is computed; an alternative to path",
-              example="lab/sweep.zarr"),
-        _text("bad_elements",
-              "list of bad elements: a CSV table of band and column, or an ENVI file that is 0 for good ones",
-              example="lab/bad.csv"),
+        Fact(name="path", doc="calibration file, written by hyperpaint calibrate; an alternative to sweep",
+             example="calibration.zarr"),
+        Fact(name="sweep",
+             doc="file of a lab sweep, from which the calibration is computed; an alternative to path",
+             example="lab/sweep.zarr"),
+        Fact(name="bad_elements",
+             doc="list of bad elements: a CSV table of band and column, or an ENVI file that is 0 for "
+             "good ones",
+             example="lab/bad.csv"),
     ]),
     "dark": by_key([
         Fact(name="cubes", kind="texts", needed=True,
@@ -183,9 +178,9 @@ SCHEMA: Mapping[str, Facts] = {
              doc="dark cubes of the white; by default those of [dark], which must have its exposure"),
         _number("reflectance", "reflectance of the tile; 1.0 gives reflectance relative to the tile; an "
                 "alternative to certificate", least=0, above=True, most=1.2, example=0.95),
-        _text("certificate",
-              "file of the certified reflectance of the tile; an alternative to reflectance",
-              example="tile.csv"),
+        Fact(name="certificate",
+             doc="file of the certified reflectance of the tile; an alternative to reflectance",
+             example="tile.csv"),
         _number("uncertainty",
                 "relative standard uncertainty of the tile's reflectance, such as 0.02 for 2 %",
                 least=0, most=1, below=True, example=0.02),
@@ -200,8 +195,8 @@ SCHEMA: Mapping[str, Facts] = {
     "irradiance": by_key([
         Fact(name="files", kind="texts", needed=True,
              doc="files of the irradiance spectrometer: .asd, text exports or csv", example="asd/*.asd"),
-        _text("quantity", "physical quantity in the spectrometer files, if they do not state it",
-              example="irradiance"),
+        Fact(name="quantity", doc="physical quantity in the spectrometer files, if they do not state it",
+             example="irradiance"),
         _number("utc_offset_h",
                 "time zone of the logging computer: local time minus UTC; by default from the "
                 "files", unit="h",
@@ -221,7 +216,7 @@ SCHEMA: Mapping[str, Facts] = {
         _number("clock_uncertainty_s",
                 "largest possible error of clock_offset_s",
                 unit="s", least=0, example=0.5),
-        _text("units", "units of the values in the spectrometer files, if they do not state them"),
+        Fact(name="units", doc="units of the values in the spectrometer files, if they do not state them"),
         _number("averaging_s", "duration of a scan of the spectrometer; by default from the files", unit="s"),
         Fact(name="calibration", kind="table",
              doc="calibration files of the spectrometer, by their kind, such as \"lamp\""),
@@ -236,14 +231,15 @@ SCHEMA: Mapping[str, Facts] = {
                 *ALIGNMENTS, default="auto"),
     ]),
     "flightlines": by_key([
-        _text("id", "name of the flight line; by default the name of its cube", example="raw_0"),
-        _text("cube", "header file of the cube, a pattern of several header files, or their folder",
-              needed=True, example="flight/raw_0.hdr"),
-        _text("frame_index", "file of the time stamps of the frames; by default in the folder of the cube",
-              example="flight/frameIndex_0.txt"),
-        _text("nav", "navigation file; by default in the folder of the cube",
-              example="flight/imu_gps.txt"),
-        _text("gps_time", "file of the GPS times of the frames"),
+        Fact(name="id", doc="name of the flight line; by default the name of its cube", example="raw_0"),
+        Fact(name="cube", doc="header file of the cube, a pattern of several header files, or their folder",
+             needed=True, example="flight/raw_0.hdr"),
+        Fact(name="frame_index",
+             doc="file of the time stamps of the frames; by default in the folder of the cube",
+             example="flight/frameIndex_0.txt"),
+        Fact(name="nav", doc="navigation file; by default in the folder of the cube",
+             example="flight/imu_gps.txt"),
+        Fact(name="gps_time", doc="file of the GPS times of the frames"),
         Fact(name="date", kind="time",
              doc="date of the flight; for a frame index that states only the time of day"),
         Fact(name="start_time", kind="time", doc="UTC of the first line; for cubes without a frame index",
@@ -258,20 +254,20 @@ SCHEMA: Mapping[str, Facts] = {
              doc="whether to open the complete lines of a truncated cube"),
     ]),
     "references": by_key([
-        _text("instrument", "name of the field spectrometer", needed=True),
+        Fact(name="instrument", doc="name of the field spectrometer", needed=True),
         Fact(name="files", kind="texts", doc="files of the field spectrometer", needed=True,
              example="svc/*.sig"),
     ]),
     "panels": by_key([
-        _text("line", "id of the flight line that shows the panel", needed=True),
+        Fact(name="line", doc="id of the flight line that shows the panel", needed=True),
         Fact(name="along_track", doc="lines that show the panel", **_SPAN),
         Fact(name="cross_track", doc="columns that show the panel", **_SPAN),
         _number("reflectance",
                 "reflectance of the panel, such as 0.5 for 50 %; an alternative to certificate",
                 least=0, above=True, most=1.2, example=0.5),
-        _text("certificate",
-              "file of the certified reflectance of the panel; an alternative to reflectance",
-              example="panel.csv"),
+        Fact(name="certificate",
+             doc="file of the certified reflectance of the panel; an alternative to reflectance",
+             example="panel.csv"),
         _number("uncertainty", "relative standard uncertainty of the panel reflectance, such as 0.02 for 2 %",
                 least=0, most=1, below=True, default=0.0),
         Fact(name="tilt", kind="numbers", length=2, unit="degree", example=[2.0, 180.0],
@@ -375,6 +371,17 @@ class _Reader(TableReader):
         self.clock = Timing(**{key: value for key, value in self.one("camera").items() if key in _CLOCK})
         self.nav: dict[Path, None] = {}
         self.flights: list[tuple[tuple[str, ...], str | None]] = []
+        for name, facts in SCHEMA.items():
+            needed = [key for key, fact in facts.items() if fact.needed]
+            for number, table in enumerate(self.tables[name]):
+                # an empty [dark] or [irradiance] is taken as none
+                for key in needed if table["?"] or name not in ("dark", "irradiance") else ():
+                    problems.add_if(
+                        key not in table["?"],
+                        f"{self.place(name, number)} {key} is missing",
+                        mend=f"state the {facts[key].doc}",
+                        code="key-missing",
+                    )
 
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
         if name == "dark":
@@ -414,7 +421,6 @@ def _white(reader: _Reader) -> WhiteEntry | None:
     table = reader.one("reference")
     if not reader.tables["reference"]:
         return None
-    _note_missing_keys(reader, "[reference]", "reference", table)
     tile = _target_reflectance(reader, "[reference]", table)
     for other in ("irradiance", "calibration"):
         reader.problems.add_if(
@@ -444,12 +450,6 @@ def _cubes(
     # Inputs of the cubes of one ``[[flightlines]]``: one cube, or those of a pattern or a folder in order
     subject = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
-        reader.problems.add_if(
-            "cube" not in table["?"],
-            f"{subject} cube is missing",
-            mend="name the header of a cube",
-            code="key-missing",
-        )
         return
     text = table["cube"]
     is_folder = os.path.isdir(reader.folder / text)  # False also for names too long for a path
@@ -537,21 +537,10 @@ def _flightline(
     )
 
 
-def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[str, Any]) -> None:
-    for key, fact in SCHEMA[name].items():
-        reader.problems.add_if(
-            fact.needed and key not in table["?"],
-            f"{subject} {key} is missing",
-            mend=f"state the {fact.doc}",
-            code="key-missing",
-        )
-
-
 def _panels(reader: _Reader) -> Iterator[PanelEntry]:
     position_keys = ("line", "along_track", "cross_track")
     for number, table in enumerate(reader.tables["panels"]):
         subject = f"[[panels]] {number + 1}"
-        _note_missing_keys(reader, subject, "panels", table)
         reflectance = _target_reflectance(reader, subject, table)
         if reflectance is None or not set(position_keys) <= set(table):
             continue
@@ -579,16 +568,8 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error
     # The irradiance record
-    table = reader.one("irradiance")
-    if "files" not in table:
-        reader.problems.add_if(
-            table["?"] and "files" not in table["?"],
-            "[irradiance] files is missing",
-            mend="name the files of the spectrometer",
-            code="key-missing",
-        )
-        irradiance = None
-    else:
+    table, irradiance = reader.one("irradiance"), None
+    if "files" in table:
         options = {k: v for k, v in values(table).items() if k not in ("files", "calibration", "mount")}
         if "calibration" in table:
             certificates = {
@@ -654,7 +635,6 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     references: list[ReferenceEntry] = []
     for number, table in enumerate(reader.tables["references"]):
         subject = f"[[references]] {number + 1}"
-        _note_missing_keys(reader, subject, "references", table)
         if "instrument" not in table or "files" not in table:
             continue
         name = table["instrument"]
@@ -902,16 +882,14 @@ def join_lines(
     # reason why they do not continue the previous line.
     # ``lines``: line of each cube by its id, in the order of recording; ``irradiance``: the complete record,
     # which is cut to every line, or None.
-    groups: list[list[str]] = []
-    reasons: list[str] = []
+    groups: list[tuple[list[str], str]] = []
     for name in lines:
-        reason = _interruption(lines, groups[-1][-1], name) if groups else ""
+        reason = _interruption(lines, groups[-1][0][-1], name) if groups else ""
         if groups and not reason:
-            groups[-1].append(name)
+            groups[-1][0].append(name)
         else:
-            groups.append([name])
-            reasons.append(reason)
-    for members, reason in zip(groups, reasons, strict=True):
+            groups.append(([name], reason))
+    for members, reason in groups:
         yield _concatenated([lines[name] for name in members], irradiance), tuple(members), reason
 
 
