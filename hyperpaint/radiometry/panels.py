@@ -41,6 +41,7 @@ from hyperpaint.base import (
     label,
     require,
     takes_quantities,
+    warn_if,
     warn_user,
 )
 from hyperpaint.io.spectrometers.spectrum_csv import PANEL_DIRECTIONS, read_panel_table
@@ -315,8 +316,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
     rows = []
     for panel in panels:
         notes, *row = _judge(panel, context)
-        if notes:
-            warn_user(f"{panel['name']}: {'; '.join(notes)}", "panel-doubtful")
+        warn_if(notes, f"{panel['name']}: {'; '.join(notes)}", "panel-doubtful")
         rows.append(row)
     *spectra, states, reasons = zip(*rows, strict=True)
     time = np.array([panel["time"] for panel in panels], "datetime64[ns]")

@@ -974,5 +974,6 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         mend="correct its units",
         code="irradiance-level",
     )
-    if light.doubt:
-        warn_user(f"{light.doubt}; check its units, its time, and the line's place", "irradiance-level")
+    warn_if(
+        light.doubt, f"{light.doubt}; check its units, its time, and the line's place", "irradiance-level"
+    )

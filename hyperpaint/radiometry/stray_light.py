@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import Array, Floats, Ints, Problems, SchemaError, one_of, require, warn_user
+from hyperpaint.base import Array, Floats, Ints, Problems, SchemaError, one_of, require, warn_if
 from hyperpaint.kernels.arguments import DetectorModel, StrayLight, StrayTerms
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
@@ -408,13 +408,13 @@ def _levels(gain: Array) -> Floats:
             limit = _OUTLIER_SD * 1.4826 * _row_medians(size, is_finite) + _LEAST_RESIDUAL
             weight = (is_finite & (size <= limit)).astype(np.float64)
     n_weak = np.count_nonzero(is_finite & (np.abs(residual) > np.log(MAX_LEVEL)))
-    if n_weak:
-        warn_user(
-            f"{n_weak} elements respond over {MAX_LEVEL:g} times less or more than their neighbours: they do "
-            "not enter the fitted levels of elements by which stray light is subtracted; mark dead elements "
-            "by a gain of NaN, or declare flat_field",
-            "elements-weak",
-        )
+    warn_if(
+        n_weak,
+        f"{n_weak} elements respond over {MAX_LEVEL:g} times less or more than their neighbours: they do "
+        "not enter the fitted levels of elements by which stray light is subtracted; mark dead elements "
+        "by a gain of NaN, or declare flat_field",
+        "elements-weak",
+    )
     return np.where(is_finite, np.exp(residual), np.nan)
 
 
@@ -432,10 +432,10 @@ def _terms(matrix: Any, name: str) -> StrayTerms:
     residual = share.copy()
     for term in range(0, len(size) // 2, MATRIX.pad):
         if np.abs(residual).sum(axis=1).max() <= MATRIX.max_truncated:
-            return StrayTerms(_padded(left[:, :term] * size[:term], 1), _padded(right[:term], 1))
+            return StrayTerms(_padded(left[:, :term] * size[:term]), _padded(right[:term]))
         next_terms = slice(term, term + MATRIX.pad)
         residual -= (left[:, next_terms] * size[next_terms]) @ right[next_terms]
-    return StrayTerms(None, _padded(share, 1))
+    return StrayTerms(None, _padded(share))
 
 
 def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
@@ -456,7 +456,6 @@ def described(cube: Mapping[Any, Any]) -> str | None:
     return ", ".join(text for name, text in descriptions.items() if name in cube) or None
 
 
-def _padded(values: Array, axis: int) -> Array:
-    pad = [(0, 0)] * values.ndim
-    pad[axis] = (0, -values.shape[axis] % MATRIX.pad)
-    return np.ascontiguousarray(np.pad(values, pad), np.float32)
+def _padded(values: Array) -> Array:
+    # Return a matrix with zeros appended to its rows, up to a multiple of `MATRIX.pad`.
+    return np.ascontiguousarray(np.pad(values, ((0, 0), (0, -values.shape[1] % MATRIX.pad))), np.float32)

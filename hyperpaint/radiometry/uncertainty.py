@@ -266,9 +266,8 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 
 
 def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, float, str]:
-    names = ["counts", "dark_counts"]
-    names += [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
-    arrays = require(dataset, names, "photon transfer of a line")
+    optional = [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
+    arrays = require(dataset, ["counts", "dark_counts", *optional], "photon transfer of a line")
     counts, dark = arrays["counts"], arrays["dark_counts"]
     if "dark_time" in dark.dims:
         dark = dark.mean("dark_time")
@@ -333,10 +332,8 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
         freedom = block_cube.shape[1] - 1.0
         variance = mean_inside**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
         ratios = [(mean_inside / neighbour).astype(np.float64) for neighbour in (mean[:, :-2], mean[:, 2:])]
-        is_similar = np.ones(mean_inside.shape, bool)
-        for ratio in ratios:
-            # noise of a much weaker neighbour would exceed noise of the band
-            is_similar &= (ratio > 0.5) & (ratio < 2.0)
+        # noise of a much weaker neighbour would exceed noise of the band
+        is_similar = np.all([(ratio > 0.5) & (ratio < 2.0) for ratio in ratios], axis=0)
         by_signal = mean_inside * (1.0 + 0.25 * (ratios[0] + ratios[1]))
         values = (
             np.where(is_similar, variance, np.nan),
@@ -501,12 +498,12 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
         code="variable-missing",
     )
     for name in NOISE:
-        if name not in dataset.variables:
-            problems.add(
-                f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
-                mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
-                code="variable-missing",
-            )
+        problems.add_if(
+            name not in dataset.variables,
+            f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
+            mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
+            code="variable-missing",
+        )
     problems.raise_if_any()
     # a white reference replaces calibration and irradiance, a calibration the white reference
     others = OF_LIGHT if "reflectance_gain" in dataset.variables else OF_WHITE
@@ -847,8 +844,7 @@ def _stray_light_errors(line: xr.Dataset) -> Floats | None:
 
 
 def _light_errors(line: xr.Dataset) -> LightErrors:
-    names = ["irradiance", "irradiance_fwhm", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    names += ["wavelength", "fwhm"]
+    names = ["irradiance", "irradiance_fwhm", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "wavelength", "fwhm"]
     optional = (
         "band_spacing",
         "responsivity_slope",
@@ -1280,7 +1276,6 @@ class RegionSums:
         total = np.sum(list(covariances.values()), axis=0)
         # standard deviations (band,) and correlations (lag, band) up to the last significant lag.
         sd = np.sqrt(np.diagonal(total))
-        bands = sd.size
         lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
         with np.errstate(invalid="ignore", divide="ignore"):
             for lag in range(len(lags)):
