@@ -1,19 +1,12 @@
 """Progress reports: for the parts of a task, and as a bar on stderr."""
 
 import sys
-from typing import overload
 
 from .schema import Progress
 
 _BAR_CHARACTERS = 40
 
 
-@overload
-def part_of(progress: None, number: int, total: int) -> None: ...
-@overload
-def part_of(progress: Progress, number: int, total: int) -> Progress: ...
-@overload
-def part_of(progress: Progress | None, number: int, total: int) -> Progress | None: ...
 def part_of(progress: Progress | None, number: int, total: int) -> Progress | None:
     """Return the progress callback of part ``number`` of ``total``, in thousandths of a part; None for None.
 

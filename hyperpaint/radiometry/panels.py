@@ -654,7 +654,11 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
     # Return the panels that a flight line declares (attribute ``panels``), as a ``collect.toml`` names them.
     #
     # Raises SchemaError: The attribute does not declare panels.
-    try:
+    with SchemaError.instead_of(
+        (ValueError, TypeError, KeyError),
+        "attribute 'panels' cannot be read: $whole",
+        code="panels-unreadable",
+    ):
         panels = []
         for row in json.loads(str(dataset.attrs.get("panels", "[]"))):
             region = slice(*row["along_track"]), slice(*row["cross_track"])
@@ -677,8 +681,6 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
                 )
             )
         return tuple(panels)
-    except (ValueError, TypeError, KeyError) as error:
-        raise SchemaError(f"attribute 'panels' cannot be read: {error}", code="panels-unreadable") from error
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:

@@ -1560,7 +1560,6 @@ def open_navigation(
         not files, "an empty list of navigation files", expected="one or more", code="empty-input"
     )
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
-    source.check()
     if format is not None:
         one_of(format, get_args(NavigationFormat), "format")
     parts: list[Part] = []
@@ -1736,7 +1735,7 @@ class TimeSource:
     time_scale: Literal["gps", "utc"] | None = None
     clock_offset_s: float | None = None
 
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         # Refuse invalid settings, all in one error.
         # Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
         with Problems("the clock settings of the navigation are invalid", TimeError) as problems:
