@@ -66,19 +66,14 @@ class UrlPath(type(Path())):  # type: ignore[misc]
     def __fspath__(self) -> str:
         return str(self)
 
-    def _has(self, kind: str) -> bool:
+    def _has(self, kind: str, **_: Any) -> bool:
         fs, key = file_system(str(self))
         with _errors_of(str(self)):
             return bool(getattr(fs, kind)(key))
 
-    def exists(self, **_: Any) -> bool:
-        return self._has("exists")
-
-    def is_dir(self, **_: Any) -> bool:
-        return self._has("isdir")
-
-    def is_file(self, **_: Any) -> bool:
-        return self._has("isfile")
+    exists = functools.partialmethod(_has, "exists")
+    is_dir = functools.partialmethod(_has, "isdir")
+    is_file = functools.partialmethod(_has, "isfile")
 
     def iterdir(self) -> Iterator["UrlPath"]:
         fs, key = file_system(str(self))
@@ -98,11 +93,10 @@ class UrlPath(type(Path())):  # type: ignore[misc]
         fetch([place])
         return open(place, mode, *options, **named)
 
-    def absolute(self) -> "UrlPath":
+    def resolve(self, *_: Any, **__: Any) -> "UrlPath":
         return self
 
-    def resolve(self, strict: bool = False) -> "UrlPath":  # noqa: ARG002
-        return self
+    absolute = resolve
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:

@@ -6,7 +6,6 @@ task then makes one pass over the counts of a slab. No values are read while the
 """
 
 import functools
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -155,11 +154,7 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
         lines = lines_a_task(line_bytes, CHUNK_LINES)
         if cube.variable._in_memory:
             # views with a random name: dask would hash the values, which takes longer than calibrating them
-            values, name = cube.values, f"lines-{uuid.uuid4().hex}"
-            starts = range(0, max(len(values), 1), lines)
-            views = {(name, n, 0, 0): values[start : start + lines] for n, start in enumerate(starts)}
-            chunks = (tuple(map(len, views.values())), *((size,) for size in values.shape[1:]))
-            return cube.copy(data=da.Array(views, name, chunks, meta=values[:0]))
+            return cube.copy(data=da.from_array(cube.values, chunks=(lines, -1, -1), name=False))
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
     return (
         cube.chunk({CUBE[1]: -1, CUBE[2]: -1})

@@ -142,15 +142,6 @@ class Staging:
         # Return the builds of a group with a content from earlier attempts.
         return [entry.path for entry in self._entries() if entry[1:] == ("build", group, content)]
 
-    def close(self, build: Path, group: str, content: str) -> Path:
-        # Rename a build, and return its new name.
-        #
-        # A cluster may repeat the task of a worker that died after the run has ended. With the new name such
-        # a task does not find the folder.
-        closed = self.build(group, content)
-        os.rename(build, closed)
-        return closed
-
     def publish(self, build: Path, group: str) -> None:
         # Move a finished group to its path; if that fails, the old group stays there.
         target = self._path(group)
@@ -604,8 +595,10 @@ class StoreWriter:
 
         def put_in_place() -> None:
             with _discarded_unless_mendable(folder):
-                # tasks that a cluster repeats from now on find no folder to write to
-                closed = stage.close(folder, job.group, job.build)
+                # A cluster may repeat the task of a worker that died after the run has ended: under the new
+                # name such a task does not find the folder.
+                closed = stage.build(job.group, job.build)
+                os.rename(folder, closed)
             with _discarded_unless_mendable(closed):
                 for hidden in closed.rglob(".*"):  # left by tasks that died while writing
                     hidden.unlink(missing_ok=True)
