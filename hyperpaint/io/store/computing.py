@@ -628,8 +628,13 @@ class Target:
     def key(self, position: tuple[int, ...]) -> str:
         return "/".join(("c", *map(str, position)))
 
-    def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        # Write a block of chunks, whose first has the position ``offset`` in the grid of chunks.
+    def write(
+        self,
+        offsets: Sequence[tuple[int, ...]],
+        block: np.ndarray[Any, Any],
+        block_id: tuple[int, ...] = (),
+    ) -> np.ndarray[Any, Any]:
+        # Write a dask block; ``offsets``: positions of the first chunks of all blocks, for every dim.
         #
         # Chunks at the far edges of the array may be incomplete. Return the crc32c of the encoded chunks
         # (uint32), in the shape of the block's grid.
@@ -639,6 +644,7 @@ class Target:
         if block.dtype.newbyteorder("<") != self.dtype:
             raise TypeError(f"a block of {self.name} has dtype {block.dtype}, expected {self.dtype}")
         block = block.astype(self.dtype, copy=False)
+        offset = [starts[i] for starts, i in zip(offsets, block_id, strict=True)]
         grid = tuple(-(-size // step) for size, step in zip(block.shape, self.chunk, strict=True))
         sums = np.empty(grid, dtype=np.uint32)
         for index in np.ndindex(grid):
@@ -700,7 +706,7 @@ def lazy_checksums(
         offsets.append(tuple(start // step for start in itertools.accumulate((0, *sizes[:-1]))))
         grid.append(tuple(-(-size // step) for size in sizes))
     sums = da.map_blocks(
-        functools.partial(_write_block, target, offsets),
+        functools.partial(target.write, offsets),
         data,
         chunks=tuple(grid),
         dtype=np.uint32,
@@ -723,16 +729,6 @@ def lazy_checksums(
             layer[(name, *index)] = np.array(checksums, dtype=np.uint32).reshape(shape)
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
     return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
-
-
-def _write_block(
-    target: Target,
-    offsets: Sequence[tuple[int, ...]],
-    block: np.ndarray[Any, Any],
-    block_id: tuple[int, ...] = (),
-) -> np.ndarray[Any, Any]:
-    # Write a dask block; ``offsets``: positions of the first chunks of all blocks, for every dim
-    return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
