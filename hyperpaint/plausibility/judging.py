@@ -9,9 +9,10 @@ import math
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -143,14 +144,6 @@ _SLIPS = (
 )
 
 
-class Verdict(NamedTuple):
-    # Result of one check of a product.
-    kind: str  # Name of the kind of finding
-    found: str
-    expected: str
-    passes: bool
-
-
 class Product(NamedTuple):
     # Sample of a line: means of blocks of lines, and what calibrates them.
     light: Floats  # (block, band, column) counts above the dark, NaN where saturated [count]
@@ -166,28 +159,29 @@ class Product(NamedTuple):
     irradiance_at: Callable[[Floats], Floats] | None  # Irradiance at wavelengths [nm]
 
 
-def judge_product(product: Product) -> Iterator[Verdict]:
+def judge_product(name: str, product: Product) -> Iterator["Finding"]:
     # Judge level, gain, smile and swath of a sample.
     top = math.nan
     if product.reflectance is not None:
-        verdicts, top = _level(product, product.reflectance)
-        yield from verdicts
-        yield from _jump(product, product.reflectance)
+        findings, top = _level(name, product, product.reflectance)
+        yield from findings
+        yield from _jump(name, product, product.reflectance)
     if product.divisor >= RULES.multiple and product.divisor.bit_count() == 1:
         low, high = RULES.known_top
-        yield Verdict(
-            "counts-multiple",
+        yield Finding(
+            KINDS["counts-multiple"],
+            name,
             f"all counts are multiples of {product.divisor}: left-justified, or shifted by a program",
             f"counts in steps of 1, or reflectance of the brightest pixels of {low:g} to {high:g}",
             low <= top <= high,
         )
-    yield from _gain(product)
-    yield from _smile(product)
-    yield from _swath(product)
+    yield from _gain(name, product)
+    yield from _smile(name, product)
+    yield from _swath(name, product)
 
 
-def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]:
-    # Return the verdict on the level, and reflectance of the brightest pixels in their brightest bands [1].
+def _level(name: str, product: Product, reflectance: Floats) -> tuple[list["Finding"], float]:
+    # Return the finding on the level, and reflectance of the brightest pixels in their brightest bands [1].
     first, last = RULES.judged_nm
     is_judged = (product.wavelength >= first) & (product.wavelength <= last)
     is_judged |= is_judged.sum() < 3
@@ -247,10 +241,10 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
         f"{slope * RULES.most_grey:.3g}; saturation from {RULES.least_full_scale:g} on"
     )
     kind = "reflectance-impossible" if is_refused else "reflectance-level"
-    return [Verdict(kind, found, expected, passes)], top
+    return [Finding(KINDS[kind], name, found, expected, passes)], top
 
 
-def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
+def _jump(name: str, product: Product, reflectance: Floats) -> Iterator["Finding"]:
     # Find a band whose reflectance differs from that of its neighbours by about one factor in most pixels.
     nm, order = np.sort(product.wavelength), np.argsort(product.wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -269,8 +263,9 @@ def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
     limit = RULES.jump * max(1.0, spacing / RULES.usual_nm) ** 2
     jump = np.where(is_judged, np.nanmedian(jumps, axis=(0, 2)), 0.0)
     band = int(np.argmax(np.abs(jump)))
-    yield Verdict(
-        "band-jump",
+    yield Finding(
+        KINDS["band-jump"],
+        name,
         f"reflectance at {centre[band]:.1f} nm is {math.exp(jump[band]):.3g} times that of the neighbouring "
         "bands in most pixels: a fault of the calibration's gain, or of the irradiance record's channels",
         f"bands that differ by less than {100.0 * limit:.0f} %",
@@ -278,7 +273,7 @@ def _jump(product: Product, reflectance: Floats) -> Iterator[Verdict]:
     )
 
 
-def _gain(product: Product) -> Iterator[Verdict]:
+def _gain(name: str, product: Product) -> Iterator["Finding"]:
     # Compare the pattern of neighbouring elements in scene and gain: 1 of it is in a scene of this gain.
     light = np.nanmean(product.light, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -301,7 +296,7 @@ def _gain(product: Product) -> Iterator[Verdict]:
         if other - RULES.significance * other_u > 0.5 and other > RULES.matching_slope:
             found += f", {other:.2f} with {order}"
             kind = "gain-order"
-    yield Verdict(kind, found, f"1, at least {RULES.foreign_slope:g}", passes)
+    yield Finding(KINDS[kind], name, found, f"1, at least {RULES.foreign_slope:g}", passes)
 
 
 def _pattern(array: Floats) -> Floats:
@@ -326,7 +321,7 @@ def _regressed(values: Floats, terms: Floats, weight: Floats | float = 1.0) -> t
     return slope, 3.0 * math.sqrt(float(np.mean(w * (v - slope * t) ** 2)) / size)
 
 
-def _smile(product: Product) -> Iterator[Verdict]:
+def _smile(name: str, product: Product) -> Iterator["Finding"]:
     # Compare solar lines in the columns with those that the declared smile moves: 1 of it is in the scene.
     if product.shift is None or product.irradiance_at is None or np.ptp(product.shift) < RULES.smile_nm:
         return
@@ -350,15 +345,16 @@ def _smile(product: Product) -> Iterator[Verdict]:
         return
     slope = float(values @ terms) / size
     u = 3.0 * math.sqrt(float(np.mean((values - slope * terms) ** 2)) / size)
-    yield Verdict(
-        "smile-sign",
+    yield Finding(
+        KINDS["smile-sign"],
+        name,
         f"{slope:.2f} +- {u:.2f} of the declared wavelength_shift (smile) is in the columns of the scene",
         f"1, not under {RULES.wrong_smile:g}",
         not (slope < RULES.wrong_smile and slope < -RULES.significance * u / 3.0),
     )
 
 
-def _swath(product: Product) -> Iterator[Verdict]:
+def _swath(name: str, product: Product) -> Iterator["Finding"]:
     # Find a step of radiance between neighbouring columns that is the same in all bands and all lines.
     light = product.light
     bands = np.nanmean(light, axis=(0, 2))
@@ -391,7 +387,7 @@ def _swath(product: Product) -> Iterator[Verdict]:
         if is_edge.any()
         else "no step between columns is alike in all bands and lines"
     )
-    yield Verdict("swath-step", found, "edges that change with line or band", not is_edge.any())
+    yield Finding(KINDS["swath-step"], name, found, "edges that change with line or band", not is_edge.any())
 
 
 @dataclass(frozen=True)
@@ -832,15 +828,15 @@ def judge_bands(
         return
     if record is None:
         return
-    daylight = _Daylight(wavelength, fwhm, record)
-    clear_curvature = _curvature(_Daylight(wavelength, fwhm, None).irradiance_at(wavelength))
+    irradiance_at = _daylight(wavelength, fwhm, record)
+    clear_curvature = _curvature(_daylight(wavelength, fwhm, None)(wavelength))
     radiance_curvature = _curvature(light * gain)
-    record_share = float(_correlation(_curvature(daylight.irradiance_at(wavelength)), clear_curvature))
+    record_share = float(_correlation(_curvature(irradiance_at(wavelength)), clear_curvature))
     if not record_share > BAND_RULES.daylight:
         # a lamp is smooth, in the record and in the scene
         scene_share = float(_correlation(radiance_curvature, clear_curvature))
         shifts = np.arange(-BAND_RULES.record_nm, BAND_RULES.record_nm + 1.0)[:, None]
-        matches = _correlation(radiance_curvature, _curvature(daylight.irradiance_at(wavelength + shifts)))
+        matches = _correlation(radiance_curvature, _curvature(irradiance_at(wavelength + shifts)))
         best = int(np.argmax(np.nan_to_num(matches, nan=-1.0)))
         is_shifted = matches[best] > BAND_RULES.explained
         if scene_share > BAND_RULES.explained and (is_shifted or record_share < BAND_RULES.unexplained):
@@ -853,7 +849,7 @@ def judge_bands(
                 f"at least {BAND_RULES.daylight:g}",
             )
         return
-    expected_curvature = _curvature(daylight.irradiance_at(wavelength) / gain)
+    expected_curvature = _curvature(irradiance_at(wavelength) / gain)
     curvature = _curvature(light)
     agreement = float(_correlation(curvature, expected_curvature))
     if not agreement < BAND_RULES.unexplained:
@@ -867,8 +863,8 @@ def judge_bands(
             orders[f"shifted by {-rotation} bands"] = float(
                 _correlation(np.roll(curvature, -shift), expected_curvature)
             )
-    orders |= _agreements(_curvature(light * gain), wavelength, daylight)
-    inverted = _agreements(-_curvature(light * gain), wavelength, daylight)
+    orders |= _agreements(_curvature(light * gain), wavelength, irradiance_at)
+    inverted = _agreements(-_curvature(light * gain), wavelength, irradiance_at)
     order, best_agreement = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
     chance = np.nanmax([-value for value in orders.values()] + list(inverted.values()))
     if best_agreement > max(BAND_RULES.explained, chance + BAND_RULES.margin):
@@ -895,7 +891,9 @@ def _roughness(spectrum: Floats, light: Floats) -> float:
     return 0.0 if is_flat else float(np.nanmedian(steps) / pair_step) ** 2
 
 
-def _agreements(curvature: Floats, wavelength: Floats, daylight: "_Daylight") -> dict[str, float]:
+def _agreements(
+    curvature: Floats, wavelength: Floats, irradiance_at: Callable[[Floats], Floats]
+) -> dict[str, float]:
     # Best correlation of a curvature with daylight over all shifts, by the wavelengths of each stretch
     agreements = {}
     mean_nm = float(wavelength.mean())
@@ -904,27 +902,26 @@ def _agreements(curvature: Floats, wavelength: Floats, daylight: "_Daylight") ->
     for stretch in np.geomspace(narrowest, widest, 140):
         for signed in (stretch, -stretch):
             nm = mean_nm + shifts + signed * (wavelength - mean_nm)
-            agreement = _correlation(curvature, _curvature(daylight.irradiance_at(nm)))
+            agreement = _correlation(curvature, _curvature(irradiance_at(nm)))
             best = int(np.argmax(np.nan_to_num(agreement, nan=-1.0)))
             agreements[f"{nm[best, 0]:.0f} to {nm[best, -1]:.0f} nm"] = float(agreement[best])
     return agreements
 
 
-class _Daylight:
-    # Irradiance of the record, or of a clear sky, at the resolution of the bands; NaN outside its wavelengths
-    def __init__(self, wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> None:
-        margin = 2.0 * BAND_RULES.shifts_nm
-        # at least one margin, also of wavelengths without sunlight
-        first = max(wavelength.min() - margin, 300.0)
-        nm = np.arange(first, max(min(wavelength.max() + margin, 2500.0), first + margin), 0.5)
-        clear_sky = sum(ClearSky(45.0).irradiance(nm)) if record is None else None
-        irradiance = np.asarray(clear_sky if record is None else np.interp(nm, *record, np.nan, np.nan))
-        half_width = round(2.0 * max(fwhm, 1.0))  # in steps of 0.5 nm: one FWHM to either side
-        weights = np.exp(-0.5 * (2.3548 * np.linspace(-1.0, 1.0, 2 * half_width + 1)) ** 2)
-        self._nm, self._values = nm, np.convolve(irradiance, weights / weights.sum(), "same")
-
-    def irradiance_at(self, wavelength: Floats) -> Floats:
-        return np.asarray(np.interp(wavelength, self._nm, self._values, np.nan, np.nan))
+def _daylight(wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> Callable[..., Any]:
+    # Return irradiance at wavelengths, of the record or a clear sky, at the resolution of the bands; NaN
+    # outside its wavelengths
+    margin = 2.0 * BAND_RULES.shifts_nm
+    # at least one margin, also of wavelengths without sunlight
+    first = max(wavelength.min() - margin, 300.0)
+    nm = np.arange(first, max(min(wavelength.max() + margin, 2500.0), first + margin), 0.5)
+    irradiance = np.asarray(
+        sum(ClearSky(45.0).irradiance(nm)) if record is None else np.interp(nm, *record, np.nan, np.nan)
+    )
+    half_width = round(2.0 * max(fwhm, 1.0))  # in steps of 0.5 nm: one FWHM to either side
+    weights = np.exp(-0.5 * (2.3548 * np.linspace(-1.0, 1.0, 2 * half_width + 1)) ** 2)
+    values = np.convolve(irradiance, weights / weights.sum(), "same")
+    return partial(np.interp, xp=nm, fp=values, left=np.nan, right=np.nan)
 
 
 def _curvature(spectrum: Floats) -> Floats:
@@ -1620,9 +1617,8 @@ def judge_line(
             blocks = np.stack(means).astype(np.float64)
             sample = CubeSample(lines, blocks[0], blocks.max(axis=0), 1, np.zeros(shape, bool), blocks)
             product = _product(line, sample, np.zeros(shape), np.ones(shape), 5.0, math.inf)
-            verdicts = [] if product.reflectance is None else _level(product, product.reflectance)[0]
-        for verdict in verdicts:
-            yield Finding(KINDS[verdict.kind], name, verdict.found, verdict.expected, verdict.passes)
+            findings = [] if product.reflectance is None else _level(name, product, product.reflectance)[0]
+        yield from findings
 
 
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
@@ -1687,7 +1683,7 @@ def _judge_sample(
         if "irradiance" in line:
             record = line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values
         if not has_white(line):
-            sky = _Daylight(wavelength, fwhm, record).irradiance_at(wavelength)
+            sky = _daylight(wavelength, fwhm, record)(wavelength)
             daylight = sky / np.nanmean(gain, axis=1)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
@@ -1701,9 +1697,9 @@ def _judge_sample(
         widths = [fwhm, *line["irradiance_fwhm"].values.ravel()] if "irradiance_fwhm" in line else [fwhm]
         yield from judge_bands(name, light, np.nanmean(gain, axis=1), wavelength, float(max(widths)), record)
         with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # elements without a value
-            verdicts = list(judge_product(_product(line, sample, dark, gain, fwhm, saturation_limit)))
-        for verdict in verdicts:
-            yield Finding(KINDS[verdict.kind], name, verdict.found, verdict.expected, verdict.passes)
+            product = _product(line, sample, dark, gain, fwhm, saturation_limit)
+            findings = list(judge_product(name, product))
+        yield from findings
 
 
 def _product(
@@ -1734,7 +1730,7 @@ def _product(
         position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
         level = light_level(position, spectra, channels, times)
         share, zenith = level.median / level.clear, level.zenith
-        daylight = _Daylight(wavelength, fwhm, (channels, np.nanmean(spectra, axis=0))).irradiance_at
+        daylight = _daylight(wavelength, fwhm, (channels, np.nanmean(spectra, axis=0)))
         if line.attrs.get("absolute_scale") != "unknown":
             exposure = float(np.nanmean(line["exposure_time"].values)) if "counts" in line else 1.0
             light_of_bands = np.where(daylight(wavelength) > 0.0, daylight(wavelength), np.nan)
