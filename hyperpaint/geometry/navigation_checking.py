@@ -853,21 +853,21 @@ def _findings(setting: Setting) -> list[Finding]:
     sd = float(plausible[-1] - plausible[0]) / 4.0 if 0 < lowest < tried.size - 1 else np.inf
     step = float(tried[lowest] * np.log(factors[1] / factors[0]))
     at_declared = float(np.interp(nominal_height, tried, cost))
-    height = Refined(float(tried[lowest]), max(sd, step / 2), at_declared - float(cost[lowest]))
+    height, height_sd = float(tried[lowest]), max(sd, step / 2)
     is_height_off = (
         recorded_height > 0.0
-        and height.odds > RULES.log_odds
-        and np.isfinite(height.sd)
-        and max(height.value / recorded_height, recorded_height / height.value) > RULES.height_ratio
+        and at_declared - float(cost[lowest]) > RULES.log_odds
+        and np.isfinite(height_sd)
+        and max(height / recorded_height, recorded_height / height) > RULES.height_ratio
     )
     if is_height_off:
-        setting = at_height(best, height.value)
+        setting = at_height(best, height)
         scored, compared = _scores(setting)
         best = _nearest(scored, declared)
     other = "geoid" if convention.height_reference == "ellipsoid" else "ellipsoid"
-    if abs(height.value - recorded_height) > RULES.undulation_m:
+    if abs(height - recorded_height) > RULES.undulation_m:
         other = "another ground= or unit of heights"
-    evidence = f"{height.value:.0f} +- {height.sd:.0f} m above ground by the picture"
+    evidence = f"{height:.0f} +- {height_sd:.0f} m above ground by the picture"
     heights = f"{evidence}, {recorded_height:.0f} m by the record"
     findings = [
         *_field_findings(setting, scored, compared),
@@ -880,25 +880,25 @@ def _findings(setting: Setting) -> list[Finding]:
                 f"the camera would be {-recorded_height:.0f} m below the ground",
             ),
             (is_height_off, "wrong", other, f"{heights}; or ground= has another reference"),
-            (height.sd * 4.0 < recorded_height, "right", "", heights),
+            (height_sd * 4.0 < recorded_height, "right", "", heights),
             (True, "undecided", "", heights),
         ),
     ]  # fmt: skip
     # the part of the exposure time that stamps mark, by the fitted clock offset
-    clock = _fit_clock(setting, best, compared)
+    clock, clock_sd = _fit_clock(setting, best, compared)
     stamp, half_exposure = convention.stamp_reference, setting.exposure / 2
     distances = {
-        other: abs(clock.value - 2.0 * half_exposure * (middle - MID_EXPOSURE_OFFSETS[str(stamp)]))
+        other: abs(clock - 2.0 * half_exposure * (middle - MID_EXPOSURE_OFFSETS[str(stamp)]))
         for other, middle in MID_EXPOSURE_OFFSETS.items()
         if stamp is not None and np.isfinite(half_exposure)
     }
     likely = min(distances, key=lambda other: distances[other]) if distances else str(stamp)
-    is_on_time = not abs(clock.value) > RULES.clock_sd * clock.sd
-    is_precise = np.isfinite(half_exposure) and RULES.clock_sd * clock.sd < half_exposure
-    is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock.sd, half_exposure / 2)
-    evidence = f"clock {1e3 * clock.value:+.1f} +- {1e3 * clock.sd:.1f} ms"
+    is_on_time = not abs(clock) > RULES.clock_sd * clock_sd
+    is_precise = np.isfinite(half_exposure) and RULES.clock_sd * clock_sd < half_exposure
+    is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock_sd, half_exposure / 2)
+    evidence = f"clock {1e3 * clock:+.1f} +- {1e3 * clock_sd:.1f} ms"
     last = (
-        Finding("clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s")
+        Finding("clock", "0 s", "wrong", f"{clock:+.4f} s", f"{evidence}; add it as clock_offset_s")
         if stamp is not None and not is_on_time and is_offset
         else _finding(
             "stamp_reference", stamp,
@@ -1037,24 +1037,19 @@ def _correlation_factor(residual: Floats) -> float:
     return float(zone_factor * total)
 
 
-class Refined(NamedTuple):
-    # A number estimated from the picture.
-    value: float  #: Estimate and standard uncertainty
-    sd: float
-    odds: float  #: Logarithm of the likelihood relative to the declared number
-
-
-def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start: float = 0.0) -> Refined:
-    # Return the offset of the clock [s] at which poses and picture move together; ``start`` is approximate.
+def _fit_clock(
+    setting: Setting, hypothesis: Hypothesis, compared: Bools, start: float = 0.0
+) -> tuple[float, float]:
+    # Return the offset of the clock [s] at which poses and picture move together, and its standard
+    # uncertainty; ``start`` is approximate.
     #
     # Gauss-Newton iterations, which also fit the pitch of the boresight, coupled to the rate of heading, and,
     # for every zone and block of lines, the slant of the ground. The uncertainty combines a jackknife
     # over blocks of lines (Efron, 1982), which needs no model of the correlation of neighbouring residuals,
     # with `RULES.unexplained_px`.
-    offset, sd, view = start, np.inf, setting.view_of(hypothesis)
-    first = last = 0.0
+    offset, view = start, setting.view_of(hypothesis)
     roll, pitch, heading = view.boresight
-    for iteration in range(RULES.max_steps):
+    for _ in range(RULES.max_steps):
         poses = setting.poses(hypothesis, offset)
         expected = view.motion(poses)
         shifts = (
@@ -1065,7 +1060,7 @@ def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start:
         tilted = view.motion(poses, boresight=(roll, pitch + RULES.turn_step_deg, heading))
         values = setting.observed.shift - expected.shift
         parts = (per_offset, tilted.shift - expected.shift)
-        # The size of the first part, its uncertainty, and the cost without it.
+        # the size of the first part, and its uncertainty
         is_valid = (
             compared & np.isfinite(values) & np.isfinite(parts).all(axis=0) & np.isfinite(expected.travel)
         )
@@ -1091,7 +1086,7 @@ def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start:
         )
         matrix = matrices_of_blocks.sum(0) + np.diag([1.0, (RULES.turn_step_deg / RULES.max_tilt_deg) ** 2])
         vector = vectors_of_blocks.sum(0)
-        sizes = np.linalg.solve(matrix, vector)
+        step = float(np.linalg.solve(matrix, vector)[0])
         # leave out blocks, and pairs of neighbouring blocks, in turn
         sd = 0.0
         for group in (1, 2):
@@ -1106,15 +1101,10 @@ def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start:
             sd = max(sd, float(np.sqrt(share * ((estimates - estimates.mean()) ** 2).sum())))
         rms_shift = float(np.sqrt((design[..., 0][is_valid] ** 2).mean()))
         sd = float(np.hypot(sd, RULES.unexplained_px / max(rms_shift, 1e-12)))
-        residual = target - design[..., 1:] @ sizes[1:]
-        factor = _correlation_factor(np.where(is_valid, target - design @ sizes, np.nan))
-        cost = 0.5 * float(np.minimum((residual[is_valid] / scale) ** 2, RULES.clip_sd**2).sum()) / factor
-        step, last = float(sizes[0]), cost
-        first = last if iteration == 0 else first
         offset += float(np.clip(step, -RULES.max_step_s, RULES.max_step_s))
         if abs(step) < RULES.converged_sd * sd:
-            return Refined(offset, sd, first - last)
-    return Refined(offset, float("inf"), first - last)
+            return offset, sd
+    return offset, float("inf")
 
 
 def _running_mean(values: Floats) -> Floats:
@@ -1325,18 +1315,18 @@ def estimate_clock_offset(
             "motion-mismatch",
         ),
     )
-    fitted = _fit_clock(setting, expected, compared, float(offsets[best]))
+    offset, sd = _fit_clock(setting, expected, compared, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
     _refuse_first(
         (
-            not fitted.sd < limit,
-            f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for",
+            not sd < limit,
+            f"it is {offset:+.3f} +- {sd:.3f} s, while {limit:g} s is asked for",
             "offset-uncertain",
         )
     )
     return ClockOffset(
-        fitted.value,
-        fitted.sd,
+        offset,
+        sd,
         "attitude",
         f"attitude explains {100 * gain:.0f} % of the shifts of {int(compared.sum())} parts of rows",
         _curve(offsets, misfit),

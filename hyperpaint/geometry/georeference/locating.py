@@ -21,6 +21,7 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from dask.array.core import normalize_chunks
 
 from hyperpaint.base import (
     ALONG_TRACK,
@@ -1140,7 +1141,7 @@ def locate(
     chunks = (
         tuple(chunked[0].chunksizes[ALONG_TRACK])
         if chunked
-        else line_slabs(line.sizes[ALONG_TRACK], lines_a_task(4 * samples, CHUNK_LINES)) or (0,)
+        else normalize_chunks(lines_a_task(4 * samples, CHUNK_LINES), (line.sizes[ALONG_TRACK],))[0]
     )
     boresight_angles, lever_arm_m = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
@@ -1228,12 +1229,6 @@ def _poses(
 
 
 # --- places ------------------------------------------------------------------------------------------------
-
-
-def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
-    # Return the number of lines of every slab; the last slab has the remainder.
-    full_slabs, remainder = divmod(lines, slab)
-    return (slab,) * full_slabs + ((remainder,) if remainder else ())
 
 
 def is_located(line: xr.Dataset) -> bool:
@@ -1359,9 +1354,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         system = _pyproj().CRS.from_user_input(crs_texts[0])
         parts = [part for part in system.sub_crs_list if part.is_vertical] or [system]
         axis = next((axis for axis in parts[0].axis_info if axis.direction in ("up", "down")), None)
-        if axis is None:
-            vertical = None
-        else:
+        if axis is not None:
             is_ellipsoidal = parts[0].is_geographic or "ellips" in parts[0].name.lower()
             sign = -1.0 if axis.direction == "down" else 1.0
             reference = "ellipsoid" if is_ellipsoidal else "geoid"

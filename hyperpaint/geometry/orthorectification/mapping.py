@@ -17,6 +17,7 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from dask.array.core import normalize_chunks
 from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
@@ -43,14 +44,12 @@ from hyperpaint.base import (
     require,
     takes_quantities,
     warn_if,
-    warn_user,
 )
 from hyperpaint.geometry.georeference.locating import (
     LOCATION_UNITS,
     crs_of,
     grid_mapping_attrs,
     is_located,
-    line_slabs,
     locate,
 )
 from hyperpaint.io.store import client_in_force
@@ -1094,7 +1093,8 @@ def line_chunks(line: xr.Dataset, names: Sequence[str] = ()) -> tuple[int, ...]:
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
             return tuple(line[name].variable.chunksizes[ALONG_TRACK])
-    return line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
+    chunks: tuple[int, ...] = normalize_chunks(CHUNK_LINES, (line.sizes[ALONG_TRACK],))[0]
+    return chunks
 
 
 def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
@@ -1255,24 +1255,27 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         attrs["height_above_ground"] = float(np.median(altitude[np.isfinite(altitude)])) - ground
     attrs = {name: float(value) for name, value in attrs.items() if np.isfinite(value)}
     is_complete = line.sizes[CROSS_TRACK] >= WHOLE_CAMERA_COLUMNS
-    texts = []
-    height = attrs.get("height_above_ground", MIN_HEIGHT_M)
-    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
-        texts.append(
-            f"the camera is {height:.4g} m above the ground, expected {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m "
-            "(ground is above the ellipsoid, not above the sea)"
+    found = [
+        text.format(attrs[name], low, high)
+        for name, low, high, is_checked, text in (
+            (
+                "height_above_ground", MIN_HEIGHT_M, MAX_HEIGHT_M, True,
+                "the camera is {:.4g} m above the ground, expected {:g} to {:g} m "
+                "(ground is above the ellipsoid, not above the sea)",
+            ),
+            (
+                "swath", MIN_SWATH_M, MAX_SWATH_M, is_complete,
+                "the swath is {:.3g} m wide, expected {:g} to {:g} m",
+            ),
+            (
+                "pixel_aspect", 1 / MAX_ASPECT, MAX_ASPECT, is_complete,
+                "pixels are {:.3g} times as long as wide, expected {:g} to {:g}",
+            ),
         )
-    swath = attrs.get("swath", MIN_SWATH_M)
-    if is_complete and not MIN_SWATH_M <= swath <= MAX_SWATH_M:
-        texts.append(f"the swath is {swath:.3g} m wide, expected {MIN_SWATH_M:g} to {MAX_SWATH_M:g} m")
-    aspect = attrs.get("pixel_aspect", 1.0)
-    if is_complete and not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
-        texts.append(
-            f"pixels are {aspect:.3g} times as long as wide, expected {1 / MAX_ASPECT:g} to {MAX_ASPECT:g}"
-        )
-    if texts:
-        name = line.attrs.get("name", "this line")
-        warn_user(f"{name}: {'; '.join(texts)}; check ground and camera", "swath-implausible")
+        if name in attrs and is_checked and not low <= attrs[name] <= high
+    ]  # fmt: skip
+    name = line.attrs.get("name", "this line")
+    warn_if(found, f"{name}: {'; '.join(found)}; check ground and camera", "swath-implausible")
     return attrs
 
 
