@@ -43,7 +43,7 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
-from hyperpaint.kernels.line_fits import GAUSSIAN, profiles
+from hyperpaint.kernels.line_fits import GAUSSIAN
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.stray_light import DARK_SUBTRACTED, RAW, Linearity, linearity_of
@@ -72,6 +72,7 @@ from .detector import (
     fit_beam,
     fit_steps,
     fit_wavelength_map,
+    line_profiles,
     line_wavelengths,
     listed,
     placed_lines,
@@ -1372,10 +1373,10 @@ def fitted_lines(
             distance, counts = distance[is_near] - centre, counts[is_near]
         # profile of the lamp line at its centre, which has unit height, at the samples and along the curve
         place = np.concatenate([[0.0], distance, curve_distance])[None]
-        profile: Floats = np.empty(place.shape)
-        own, lamp = (np.array([float(width) / abs(spacing_at)]) for width in (camera_width, source))
-        profiles(place, own, lamp, SHAPES[str(calibration.attrs["srf_shape"])], is_triangular, profile)
-        profile = profile[0, 1:] / profile[0, 0]
+        own, lamp = (float(width) / abs(spacing_at) for width in (camera_width, source))
+        shape = SHAPES[str(calibration.attrs["srf_shape"])]
+        profile = line_profiles(place, own, lamp, shape, is_triangular)[0]
+        profile = profile[1:] / profile[0]
         results.append(
             FittedLine(
                 float(variables["step_wavelength"][step]),

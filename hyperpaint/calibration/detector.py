@@ -614,14 +614,6 @@ class NoiseModel:
         return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames + self.dark)
 
 
-@dataclass(frozen=True)
-class Light:
-    """Light of a step, for fits in units of bands: widths in bands, shape of the lamp line."""
-
-    width: Floats
-    triangular: bool
-
-
 @dataclass(frozen=True, eq=False)
 class Window:
     """The bands around the lamp line of one step, column by column."""
@@ -799,13 +791,36 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     )
 
 
+def line_profiles(
+    distance: Floats, width: Floats | float, source: Floats | float, shape: int, triangular: bool
+) -> Floats:
+    # Return lamp lines of unit area at distances (line, sample) from their centres [band].
+    #
+    # ``width`` and ``source`` (line,) are the full widths at half maximum of the camera's response and of the
+    # light [band]; ``triangular``: whether the light is a triangle, otherwise a Gaussian.
+    out = np.empty(distance.shape)
+    widths, sources = (np.full(len(distance), values, np.float64) for values in (width, source))
+    profiles(distance, widths, sources, shape, triangular, out)
+    return out
+
+
 def fit_window(
-    window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
+    window: Window,
+    noise: NoiseModel,
+    frames: float,
+    shape: int,
+    source: Floats,
+    triangular: bool,
+    start: Fits | None = None,
 ) -> Fits:
     # Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
     #
-    # ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
-    # which is a fit without deconvolution. ``start`` are fits with start values.
+    # ``shape`` is a value of `SHAPES`. ``source`` (line,) and ``triangular`` are width [band] and shape of
+    # the light, of zero width in the first fit, which is a fit without deconvolution. ``start`` are fits with
+    # start values.
+    def profiles_at(distance: Floats) -> Floats:
+        return line_profiles(distance, parameters[:, WIDTH], source, shape, triangular)
+
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
     if start is None:
@@ -817,28 +832,29 @@ def fit_window(
         halves = [np.where(is_near & (sign * side > 0), positive, 0.0).sum(axis=1) for sign in (1, -1)]
         area = height + 2.0 * np.maximum(*halves)
         observed = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
-        width = np.sqrt(np.maximum(observed**2 - light.width**2, (0.3 * observed) ** 2))
+        width = np.sqrt(np.maximum(observed**2 - source**2, (0.3 * observed) ** 2))
         columns = [window.first + peak, width, area, np.zeros_like(area)]
         parameters, model = np.column_stack(columns).astype(np.float64), values
     else:
         parameters, width = start.parameters.copy(), start.width
-        parameters[:, WIDTH] = np.sqrt(np.maximum(width**2 - light.width**2, (0.3 * width) ** 2))
-        model = start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        parameters[:, WIDTH] = np.sqrt(np.maximum(width**2 - source**2, (0.3 * width) ** 2))
+        model = start.parameters[:, AREA, None] * profiles_at(window.places - parameters[:, CENTRE, None])
     height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
     # weights from the noise of single counts favour low counts: weights follow the model if there is one
     min_variance = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + min_variance
     # fit in place, and again without the worst outlier
+    at_centre = np.zeros((len(values), 1))
     is_used, start_values = is_finite.copy(), parameters.copy()
     for is_last in (False, True):
         parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
-        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
-        fits = fitted(samples, shape, light.triangular, parameters)
+        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, source)
+        fits = fitted(samples, shape, triangular, parameters)
         if is_last:
             break
-        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        model = parameters[:, AREA, None] * profiles_at(window.places - parameters[:, CENTRE, None])
         residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
-        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))[:, None]
+        amplitude = np.abs(parameters[:, AREA, None] * profiles_at(at_centre))
         # a dead element distorts the fit of its neighbours, so only the worst sample is left out
         is_outlier = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude)
         is_outlier &= residual >= residual.max(axis=1, keepdims=True)
@@ -848,7 +864,7 @@ def fit_window(
     # sum over all bands, of which the part beyond the edge of the array or on bad elements is taken from the
     # fit. Where bands are more than half a lamp line's width apart, their sum is a little more or less than
     # the light, depending on its position between them; the profile corrects this.
-    unit = _profiles(window, parameters, shape, light)
+    unit = profiles_at(window.places - parameters[:, CENTRE, None])
     total = np.maximum(unit.sum(axis=1), 1e-300)
     unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
     area = np.where(is_used, window.values, 0.0).sum(axis=1) / total + unseen * parameters[:, AREA]
@@ -858,31 +874,18 @@ def fit_window(
         + unseen**2 * fits.covariance[:, AREA, AREA]
     )
     width = np.empty(len(values))
-    full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
+    full_widths(parameters[:, WIDTH].copy(), source, shape, triangular, width)
     return Fits(
         parameters=parameters,
         covariance=fits.covariance,
         width=width,
-        amplitude=parameters[:, AREA] * _peaks(parameters, shape, light),
+        amplitude=parameters[:, AREA] * profiles_at(at_centre)[:, 0],
         area=area,
         area_variance=area_variance,
         chi2=fits.chi2,
         degrees=np.maximum(is_used.sum(axis=1) - 4.0, 1.0),
         converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
     )
-
-
-def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:
-    out = np.empty(window.values.shape)
-    distance = window.places - parameters[:, CENTRE, None]
-    profiles(distance, parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
-    return out
-
-
-def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
-    out = np.empty((len(parameters), 1))
-    profiles(np.zeros_like(out), parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
-    return out[:, 0]
 
 
 # --- fit the wavelength of every element to lamp lines: a smooth surface over bands and columns ------------
@@ -1043,12 +1046,9 @@ def _unit_lines(
 ) -> Floats:
     # Return lamp lines of unit area (line, sample) at centres (line,) [band].
     spacing = wavelength_map.spacing(centre, window.columns)
-    unit = np.empty(window.values.shape)
-    profiles(
-        window.places - centre[:, None], width / spacing, lab.width[step] / spacing, shape, lab.triangular,
-        unit,
-    )  # fmt: skip
-    return unit
+    return line_profiles(
+        window.places - centre[:, None], width / spacing, lab.width[step] / spacing, shape, lab.triangular
+    )
 
 
 def deviant_elements(
@@ -1269,10 +1269,8 @@ def _complete_step(
     frames = float(lab.frames[step])
 
     def profile(shift: float, width_factor: float) -> Floats:
-        out = np.empty(window.values.shape)
         distance = window.places - (centre + shift)[:, None]
-        profiles(distance, width * width_factor, source, SHAPES[shape], lab.triangular, out)
-        return out
+        return line_profiles(distance, width * width_factor, source, SHAPES[shape], lab.triangular)
 
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
@@ -1468,10 +1466,9 @@ def slope_shift_of_lines(
         place, width, slit = (nm / spacing[step] for nm in (offset, camera_width[step], source))
         half = int(np.ceil(2.2 * np.hypot(width, slit) + 2.0))
         bands = np.arange(-half, half + 1, dtype=np.float64)
-        parts = np.empty((_PARTS, bands.size))
-        widths, zeros = np.full(_PARTS, width), np.zeros(_PARTS)
-        profiles(bands - place[:, None], widths, zeros, SHAPES[shape], False, parts)
-        line = (light / light.sum()) @ parts
+        line = (light / light.sum()) @ line_profiles(
+            bands - place[:, None], width, 0.0, SHAPES[shape], triangular=False
+        )
         line *= amplitude[step] / line.max()
         variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
         samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
@@ -1537,15 +1534,12 @@ class LampLines:
         index = (step, window.columns)
         self.centre[index] = fits.parameters[:, CENTRE]
         self.camera_width[index] = fits.parameters[:, WIDTH]
-        self.width[index] = fits.width
-        self.amplitude[index] = fits.amplitude
-        self.area[index] = fits.area
+        for name in ("width", "amplitude", "area", "covariance", "chi2", "degrees"):
+            getattr(self, name)[index] = getattr(fits, name)
         with np.errstate(invalid="ignore"):
             self.area_u[index] = np.sqrt(fits.area_variance) / fits.area
             self.centre_u[index] = np.sqrt(fits.covariance[:, CENTRE, CENTRE])
             self.camera_width_u[index] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
-        self.covariance[index] = fits.covariance
-        self.chi2[index], self.degrees[index] = fits.chi2, fits.degrees
         centre, margin = fits.parameters[:, CENTRE], CLIPPING.min_edge_distance * fits.width
         with np.errstate(invalid="ignore"):
             is_inside = (centre >= margin) & (centre <= bands - 1 - margin)
@@ -1683,11 +1677,13 @@ def fit_steps(
     fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
     for step, window in enumerate(sweep_data.windows):
         if window is not None:
-            light, start = Light(np.zeros(len(window.columns)), False), None
+            source, triangular, start = np.zeros(len(window.columns)), False, None
             if first is not None and (start := first[1][step]) is not None:
                 spacing = first[0].spacing(start.parameters[:, CENTRE], window.columns)
-                light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
-            fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), shape, light, start)
+                source, triangular = np.asarray(lab.width[step] / spacing), lab.triangular
+            fits = fit_window(
+                window, sweep_data.noise, float(lab.frames[step]), shape, source, triangular, start
+            )
             lamp_lines.store(step, window, fits, lab.shape[1])
             fits_of_steps[step] = fits
         tick()

@@ -21,7 +21,7 @@ from hyperpaint.calibration import (
     quantum_efficiency,
     relative_responsivity,
 )
-from hyperpaint.calibration.detector import Light, NoiseModel, Window, fit_wavelength_map, fit_window
+from hyperpaint.calibration.detector import NoiseModel, Window, fit_wavelength_map, fit_window
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.flightline.side_files import calibration_parts, check_calibration
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN
@@ -379,7 +379,7 @@ def fitted(signal: np.ndarray, near: int, half: int = 8) -> tuple[float, float]:
         np.zeros(1, np.int64), np.array([near - half]), values, 0 * one, 0 * one, np.zeros(1, bool), one,
         np.zeros(signal.size), near,
     )  # fmt: skip
-    fits = fit_window(window, NoiseModel(25.0, 1.0), 1.0, GAUSSIAN, Light(np.zeros(1), False))
+    fits = fit_window(window, NoiseModel(25.0, 1.0), 1.0, GAUSSIAN, np.zeros(1), triangular=False)
     assert fits.converged[0]
     return float(fits.parameters[0, CENTRE]), float(fits.width[0])
 
