@@ -363,15 +363,6 @@ class IrradianceTable:
         return log
 
 
-def mean_light(
-    declared: Declared, windows: list[tuple[float, float]], lines: slice | None
-) -> tuple[Floats, Floats]:
-    # Return the record's mean spectrum in units of its level (channel,), and the level of every line.
-    share, level_of_line = shares_of_samples(declared, windows, lines)
-    is_used = share > 0.0
-    return share[is_used] @ declared.light.spectra[is_used], level_of_line
-
-
 def shares_of_samples(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
 ) -> tuple[Floats, Floats]:
@@ -931,7 +922,9 @@ def align_to_irradiance(
                 mend="widen the window or lower degree=",
                 code="bands-too-few",
             )
-    light, level = mean_light(declared, windows, lines)
+    # the record's mean spectrum in units of its level (channel,), and the level of every line
+    share, level = shares_of_samples(declared, windows, lines)
+    light = share[share > 0.0] @ declared.light.spectra[share > 0.0]
     used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
     selected = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
     mean, pixels = mean_over_lines(radiance_of_bands(selected, used_bands), level, progress)
@@ -1131,10 +1124,6 @@ class Comparison(NamedTuple):
         deviation = np.array([self.shift, self.tilt, self.width - 1.0])
         return float(np.sqrt(deviation @ np.linalg.solve(self.covariance, deviation)))
 
-    def shift_at(self, wavelength: Floats) -> Floats:
-        # Return the shift at wavelengths [nm].
-        return np.asarray(self.shift + self.tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
-
     def is_significant(self, rules: SimpleNamespace = COMPARISON) -> bool:
         # Return whether camera and record differ beyond chance and beyond `COMPARISON.least_effect`.
         return bool(
@@ -1282,7 +1271,7 @@ def compared(line: xr.Dataset, rules: SimpleNamespace = COMPARISON) -> Compariso
     departures, slopes = _linearised(usable, parameters, rules)
     effects = [
         (
-            fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
+            fit.light_at(fit.shift + _shift_at(fit.wavelength, *parameters[:2])[:, None], parameters[2])
             - fit.light_at(fit.shift, 1.0)
         ).mean(axis=1)
         for fit in usable
@@ -1371,9 +1360,9 @@ def _window_fit(
     )
 
 
-def _shifts(fit: _WindowFit, parameters: Floats) -> Floats:
-    # Return the shift (band,) [nm] for parameters: shift at 600 nm, tilt, width.
-    return np.asarray(parameters[0] + parameters[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
+def _shift_at(wavelength: Floats, shift: float, tilt: float) -> Floats:
+    # Return the shift at wavelengths [nm] from the shift at 600 nm and its tilt.
+    return np.asarray(shift + tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def _linearised(
@@ -1382,7 +1371,7 @@ def _linearised(
     # Return departures (band, group) and their derivatives (parameter, band, group) of every window.
     departures, slopes = [], []
     for fit in fits:
-        shift, width = _shifts(fit, parameters), float(parameters[2])
+        shift, width = _shift_at(fit.wavelength, *parameters[:2]), float(parameters[2])
         by_shift = (
             fit.departure(shift + _DERIVATIVE_NM, width) - fit.departure(shift - _DERIVATIVE_NM, width)
         ) / (2 * _DERIVATIVE_NM)
@@ -1586,7 +1575,7 @@ def align(
         channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
         # the shift is constant beyond the compared bands
         limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
-        shifted = channels - comparison.shift_at(limited) + camera
+        shifted = channels - _shift_at(limited, comparison.shift, comparison.tilt) + camera
         width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
         is_same_detector = channels <= max(VNIR_END_NM, comparison.wavelength.max())
         widths = xr.DataArray(
