@@ -20,7 +20,14 @@ from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60
 #: Colours of curves, of Okabe and Ito for colour-blind readers.
-COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
+COLOURS = BLUE, VERMILION, GREEN, PURPLE, ORANGE, _ = (
+    "#3399DD",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#999999",
+)
 
 
 def new_figure(purpose: str, **options: Any) -> Any:

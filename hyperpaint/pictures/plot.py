@@ -57,7 +57,12 @@ from hyperpaint.radiometry.panels import CLOSURE, PANEL_STATES
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import (
+    BLUE,
     COLOURS,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    VERMILION,
     axes_or_new,
     axes_width,
     check_picture,
@@ -323,20 +328,17 @@ def _draw_paints(
     indices = [names.index(name) for name in chosen]
     for name, index, style in zip(chosen, indices, styles_of(colours[indices]), strict=True):
         paint = library.isel({SIGNATURE: index})
-        wavelength = require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
-        is_good = good_bands(paint)
-        reflectance = np.where(is_good, paint["reflectance"].values, np.nan)
         count = f" (n = {int(paint['n'])})" if "n" in paint else ""
-        draw_band(axes, paint, wavelength, is_good, spread, style["color"])
-        draw_curve(axes, wavelength, reflectance, style, label_for(name) + count)
+        _draw_paint(axes, paint, spread, style["color"], style, label_for(name) + count)
 
 
-def draw_band(
-    axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
+def _draw_paint(
+    axes: Any, paint: xr.Dataset, spread: str, colour: Any, style: dict[str, Any], label: str | None = None
 ) -> None:
-    # Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
-    # ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
-    # spread is not shaded.
+    # Draw the curve of one paint of a library above the spread of its pixels, shaded in ``colour``; see
+    # `spectrum` for ``spread``. A library without this spread is not shaded.
+    wavelength = require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
+    is_good = good_bands(paint)
     if spread == "quantiles" and "reflectance_quantiles" in paint:
         levels = paint[QUANTILE].values
         for lower_level, upper_level, shade in ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25)):
@@ -347,6 +349,7 @@ def draw_band(
     elif spread == "sd" and "reflectance_sd" in paint:
         centre, sd = paint["reflectance"].values, paint["reflectance_sd"].values
         axes.fill_between(wavelength, centre - sd, centre + sd, where=is_good, color=colour, alpha=0.25, lw=0)
+    draw_curve(axes, wavelength, np.where(is_good, paint["reflectance"].values, np.nan), style, label)
 
 
 def good_bands(dataset: xr.Dataset) -> Array:
@@ -467,7 +470,7 @@ def library_overview(
     paints, faults = find_usable(paints)
     with Problems("a paint library cannot be drawn", SchemaError) as problems:
         problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
-    variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
+    require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
     SchemaError.raise_if(
         not (count := paints.sizes[SIGNATURE]), "the library has no paint to draw", code="library-empty"
     )
@@ -482,16 +485,13 @@ def library_overview(
     from matplotlib.patches import Rectangle
 
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    wavelength, is_good = variables["wavelength"].values, good_bands(paints)
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown_count:
             # spread, curve, name, and a swatch of the colour above the axes
             paint, colour = paints.isel({SIGNATURE: number}), colours[number]
             has_colour = bool(np.isfinite(colour).all())
-            draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
-            values = np.where(is_good, paint["reflectance"].values, np.nan)
-            draw_curve(axes, wavelength, values, styles_of(colour[np.newaxis])[0])
+            _draw_paint(axes, paint, spread, ink_of(axes, 0.6), styles_of(colour[np.newaxis])[0])
             title = label_for(paint[SIGNATURE].item()) + (f"  n = {int(paint['n'])}" if "n" in paint else "")
             axes.set_title(title, fontsize="small", loc="left", pad=11 if has_colour else None)
             if has_colour:
@@ -508,13 +508,12 @@ def library_overview(
                     )
                 )
             axes.tick_params(labelsize="small")
+            # the lowest plot of a column has the wavelength axis, also above an incomplete last row
+            if number >= shown_count - columns:
+                axes.tick_params(labelbottom=True)
+                axes.set_xlabel("wavelength [nm]", fontsize="small")
         else:
             axes.set_axis_off()
-    # the lowest plot of a column has the wavelength axis, also above an incomplete last row
-    for number in range(max(0, shown_count - columns), shown_count):
-        axes = grid.ravel()[number]
-        axes.tick_params(labelbottom=True)
-        axes.set_xlabel("wavelength [nm]", fontsize="small")
     grid[0, 0].set_ylim(bottom=min(0.0, grid[0, 0].get_ylim()[0]))
     for axes in grid[:, 0]:
         axes.set_ylabel("reflectance factor [1]", fontsize="small")
@@ -915,7 +914,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     start = series[IRRADIANCE_TIME].values[0]
     seconds = (series[IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
     samples = series[IRRADIANCE_WAVELENGTH].values
-    for nm, colour in ((450.0, "#3399DD"), (550.0, "#009E73"), (850.0, "#D55E00")):
+    for nm, colour in ((450.0, BLUE), (550.0, GREEN), (850.0, VERMILION)):
         if samples.min() <= nm <= samples.max():
             axes.plot(
                 seconds, series.values[:, np.abs(samples - nm).argmin()], color=colour, label=f"{nm:.0f} nm"
@@ -1261,8 +1260,8 @@ def scenes_and_spectra(
 
 
 # colours of up to four bands by rising wavelength; more bands take matplotlib's colours
-_COLOURS = ("#3399DD", "#009E73", "#D55E00", "#CC79A7")
-_NEAR_COLOUR, _FAR_COLOUR = "#D55E00", "#808080"
+_COLOURS = (BLUE, GREEN, VERMILION, PURPLE)
+_NEAR_COLOUR, _FAR_COLOUR = VERMILION, "#808080"
 _QUARTILES = (0.25, 0.75)
 
 
@@ -1497,7 +1496,6 @@ def _draw_bands(
 
 MAX_REGION_PIXELS = 4096  # pixels drawn in a triptych; larger regions are subsampled
 _LEAST_TERM = 0.002  # Minimum part of the uncertainty of a level that a card lists, relative.
-_BLUE = "#3399DD"  # visible on light and dark backgrounds
 _AXES_INCH = (4.3, 4.4)
 
 
@@ -1610,15 +1608,15 @@ def triptych(
         line_indices, column_indices = line_indices[is_used], column_indices[is_used]
         for axes, cube in zip(plots, spectra.values(), strict=True):
             samples = np.where(good_bands(dataset), cube[is_used], np.nan)
-            shades = [{"color": _BLUE, "alpha": alpha, "lw": 0} for alpha in (0.2, 0.4)]
-            draw_quantiles(axes, wavelength, samples, [*shades, {"color": _BLUE, "lw": 1.6}])
+            shades = [{"color": BLUE, "alpha": alpha, "lw": 0} for alpha in (0.2, 0.4)]
+            draw_quantiles(axes, wavelength, samples, [*shades, {"color": BLUE, "lw": 1.6}])
     # dark counts of these columns, and the saturation count
     dark, saturation = (dataset.variables.get(name) for name in ("dark_counts", "saturation_count"))
     if dark is not None and dark.dims == (BAND, CROSS_TRACK):
         level = np.median(dark.values[:, np.unique(column_indices)], axis=1)
         plots[0].plot(wavelength, level, color=ink_of(plots[0], 0.7), lw=1, ls="--", label="dark")
     if saturation is not None and saturation.ndim == 0:
-        plots[0].axhline(float(saturation), color="#D55E00", lw=1, ls=":", label="saturation")
+        plots[0].axhline(float(saturation), color=VERMILION, lw=1, ls=":", label="saturation")
     _draw_white(plots[1], dataset, line_indices)
     for axes, name in zip(plots, cubes, strict=True):
         axes.set(title=name, xlabel="wavelength [nm]", ylabel=quantity_label(cubes[name]), ylim=(0, None))
@@ -1729,10 +1727,6 @@ def straightening(
 
 
 Values = dict[str, Any]
-
-# colours of Okabe and Ito for colour-blind readers
-_VERMILION = "#D55E00"
-_UNTRUSTED = "#E69F00"
 
 _NARROW_GAIN_INCH = 4.4  # width of axes below which their colour bar is below them
 _LAMP_LINES_SHOWN = 5
@@ -1966,7 +1960,7 @@ def _shade_untrusted(axes: Any, values: Values) -> None:
     runs = np.flatnonzero(np.diff(~values["good"], prepend=False, append=False)).reshape(-1, 2)
     for number, (start, stop) in enumerate(runs.tolist()):
         label = None if number else "no gain"
-        axes.axvspan(edges[start], edges[stop], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
+        axes.axvspan(edges[start], edges[stop], color=ORANGE, alpha=0.2, lw=0, zorder=0, label=label)
     axes.set(xlim=(edges.min(), edges.max()), xlabel="wavelength [nm]")
 
 
@@ -1985,10 +1979,10 @@ def _draw_widths(axes: Any, values: Values) -> None:
         fmt="o",
         ms=3,
         lw=0.8,
-        color=_BLUE,
+        color=BLUE,
         label=label,
     )
-    axes.plot(values["wavelength"], values["fwhm"], color=_VERMILION, lw=1.8, zorder=3, label="calibration")
+    axes.plot(values["wavelength"], values["fwhm"], color=VERMILION, lw=1.8, zorder=3, label="calibration")
     if is_used.sum() > 4:  # lamp lines cut off at the edges of the detector do not set the scale
         inner = slice(2, -2)
         margin = 0.4 * float(upper[inner].max() - lower[inner].min()) + 1e-3
@@ -2007,7 +2001,7 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     label = "all columns" if step == 1 else f"every {step}th column"
     axes.add_collection(LineCollection(curves, colors=[ink_of(axes, 0.3)], linewidths=0.5, label=label))
     column = values["column"]
-    axes.plot(wavelength, responsivity[:, column], color=_BLUE, lw=1.8, label=f"column {column}")
+    axes.plot(wavelength, responsivity[:, column], color=BLUE, lw=1.8, label=f"column {column}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
     axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]", ylim=(0, None))
@@ -2024,9 +2018,9 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     )
     axes.semilogy(wavelength, np.hypot(random, systematic), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(
-        wavelength, systematic, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics"
+        wavelength, systematic, "--", color=VERMILION, lw=1.5, label="systematic: power meter, optics"
     )
-    axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lamp lines")
+    axes.semilogy(wavelength, random, color=BLUE, lw=1.2, label="random: noise of the lamp lines")
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
@@ -2045,11 +2039,11 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
     plots = figure.subplots(1, 3)
     lowest, median, highest = finite_quantiles(gain.T, (0.05, 0.5, 0.95))
-    plots[0].fill_between(nm, lowest, highest, color=_BLUE, alpha=0.25, lw=0)
-    plots[0].semilogy(nm, median, color=_BLUE, lw=1.6)
+    plots[0].fill_between(nm, lowest, highest, color=BLUE, alpha=0.25, lw=0)
+    plots[0].semilogy(nm, median, color=BLUE, lw=1.6)
     plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:
-        plots[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
+        plots[1].plot(nm, values["fwhm"].values, color=VERMILION, lw=1.6)
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
     plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
     plots[1].set_ylabel("FWHM [nm]")
@@ -2373,8 +2367,7 @@ def _draw_exclusions(
 def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
     (style,) = styles_of(paint_colours(selection))
     signature = selection.isel({SIGNATURE: 0})
-    wavelength, is_good = np.asarray(signature["wavelength"].values), good_bands(signature)
-    reflectance = np.where(is_good, signature["reflectance"].values, np.nan)
+    reflectance = np.where(good_bands(signature), signature["reflectance"].values, np.nan)
     # half width of the 95 % interval, if the library has uncertainties
     names = ["reflectance_u_random", "reflectance_u_systematic"]
     if "reflectance_u_coat" in signature.variables and not (
@@ -2393,10 +2386,9 @@ def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
     if any(u.any() for u in uncertainties):
         interval = COVERAGE * np.sqrt(sum(u**2 for u in uncertainties))
         for edge, label in ((reflectance - interval, "95 % interval"), (reflectance + interval, None)):
-            axes.plot(wavelength, edge, color=ink_of(axes), lw=0.8, ls=":", label=label)
-    draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
+            axes.plot(signature["wavelength"].values, edge, color=ink_of(axes), lw=0.8, ls=":", label=label)
     count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
-    draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
+    _draw_paint(axes, signature, "quantiles", style["color"], style, f"signature{count}")
     axes.set(
         xlabel="wavelength [nm]",
         ylabel="reflectance factor [1]",
@@ -2504,7 +2496,7 @@ MAX_PAIRS = 24  # of one figure
 _PAINT_AXES_INCH = (3.6, 3.9)
 _FAILED = "#C0392B"  # title and frame of a paint outside the tolerance
 # colours (of Okabe and Ito) and dashes of the references of one paint, one per instrument
-_REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00", (0, (6, 1, 1, 1))))
+_REFERENCES = ((VERMILION, "--"), (GREEN, "-."), (PURPLE, ":"), (ORANGE, (0, (6, 1, 1, 1))))
 _MIN_SPAN = 0.005  # half range of the axis of differences [1]
 
 
@@ -2581,25 +2573,25 @@ def validation_figure(
         limit = 1.15 * max(
             _MIN_SPAN, limits, *(difference for difference in max_differences if np.isfinite(difference))
         )
+    # in the order of wavelengths; NaN in bands not compared
+    sorted_spectra = [each.where(each["used"]).sortby("wavelength") for each in validation.spectra]
     for panel, pairs in enumerate(paints):
         row, column = divmod(panel, columns)
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
-        _draw_spectra(upper, validation, pairs)
+        _draw_spectra(upper, validation, sorted_spectra, pairs)
         # differences below
         lower.axhline(0.0, color=ink_of(lower, 0.4), lw=0.8)
         for number, pair in enumerate(pairs):
-            spectra = validation.spectra[pair]
+            spectra = sorted_spectra[pair]
             colour, dashes = _REFERENCES[number % len(_REFERENCES)]
-            nm, values = _values_on_wavelengths(spectra, spectra["difference"])
+            nm, values = spectra["wavelength"].values, spectra["difference"].values
             edge = float(_largest_part(validation, pair)["rmse_limit"])
             if np.isfinite(edge) and not number:
-                lower.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
+                lower.axhspan(-edge, edge, color=GREEN, alpha=0.12, lw=0)
             lower.plot(nm, values, color=colour, ls=dashes, lw=1.2)
             uncertainties = [
-                _values_on_wavelengths(spectra, spectra[name])[1]
-                for name in ("signature_u", "reference_u")
-                if name in spectra
+                spectra[name].values for name in ("signature_u", "reference_u") if name in spectra
             ]
             if uncertainties:
                 u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
@@ -2619,11 +2611,13 @@ def validation_figure(
     return save_figure(figure, path)
 
 
-def _draw_spectra(axes: Any, validation: "Validation", pairs: list[int]) -> None:
-    signature = validation.spectra[pairs[0]]
-    _draw_side(axes, signature, "signature", "signature", _BLUE, "-")
+def _draw_spectra(
+    axes: Any, validation: "Validation", sorted_spectra: list[xr.Dataset], pairs: list[int]
+) -> None:
+    signature = sorted_spectra[pairs[0]]
+    _draw_side(axes, signature, "signature", "signature", BLUE, "-")
     for number, pair in enumerate(pairs):
-        spectra = validation.spectra[pair]
+        spectra = sorted_spectra[pair]
         # agreement over the part of the spectrum with most bands
         part = _largest_part(validation, pair)
         limit = f" of {float(part['rmse_limit']):.4f}" if np.isfinite(part["rmse_limit"]) else ""
@@ -2635,7 +2629,7 @@ def _draw_spectra(axes: Any, validation: "Validation", pairs: list[int]) -> None
             dict.fromkeys(
                 [
                     str(signature.attrs["signature"]),
-                    *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
+                    *(str(sorted_spectra[pair].attrs["reference"]) for pair in pairs),
                 ]
             )
         ),
@@ -2651,22 +2645,16 @@ def _draw_spectra(axes: Any, validation: "Validation", pairs: list[int]) -> None
 
 
 def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: str, dashes: Any) -> None:
-    nm, values = _values_on_wavelengths(spectra, spectra[name])
+    nm, values = spectra["wavelength"].values, spectra[name].values
     axes.plot(nm, values, color=colour, ls=dashes, lw=1.5, label=label_for(label, longest=120))
     if f"{name}_sd" in spectra:
-        _, sd = _values_on_wavelengths(spectra, spectra[f"{name}_sd"])
+        sd = spectra[f"{name}_sd"].values
         axes.fill_between(nm, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
 
 
 def _largest_part(validation: "Validation", pair: int) -> xr.Dataset:
     statistics = validation.statistics.isel(pair=pair)
     return statistics.isel(part=int(statistics["bands"].values.argmax()))
-
-
-def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
-    # sorted wavelengths [nm], and values; NaN in bands not compared
-    order = np.argsort(spectra["wavelength"].values, kind="stable")
-    return spectra["wavelength"].values[order], np.where(spectra["used"].values, array.values, np.nan)[order]
 
 
 # --- ratio of measured to expected panel reflectance, band by band -----------------------------------------
