@@ -890,15 +890,14 @@ def align_to_irradiance(
     True
     """
     dataset = rename_to_roles(line)
-    problems = Problems("the line cannot be aligned", SchemaError)
-    for is_valid, found, expected in (
-        (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
-        (group >= 1, f"group={group}", "1 or more columns"),
-        (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
-        (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
-    ):
-        problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
-    problems.raise_if_any()
+    with Problems("the line cannot be aligned", SchemaError) as problems:
+        for is_valid, found, expected in (
+            (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
+            (group >= 1, f"group={group}", "1 or more columns"),
+            (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
+            (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
+        ):
+            problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     declared = Declared.by(dataset)
     # by default the `WINDOWS` that camera and record cover; the first where they cover none
     channels = declared.light.wavelength

@@ -39,6 +39,7 @@ from hyperpaint.base import (
     Fact,
     Floats,
     Ints,
+    Problem,
     Problems,
     Quality,
     SchemaError,
@@ -1791,37 +1792,41 @@ def solve_boresight(
         for name in _FIELDS
         if name not in control_points.variables or control_points[name].dims != ("point",)
     ]
-    is_finite = bool(missing) or all(np.isfinite(control_points[name].values).all() for name in _FIELDS)
     # faults of the arguments come before faults of the numbers
-    tables = (
-        (
-            (
-                isinstance(solve, str) or not names or bool(set(solve) - set(PARAMETERS)),
-                f"solve {solve!r:.80}", f"some of {', '.join(PARAMETERS)}", "", "choice-unknown",
-            ),
-            (
-                bool(missing),
-                f"control points have no {', '.join(missing)} (point)", "",
-                "see hyperpaint.io.read_control_points", "variable-missing",
-            ),
-        ),
-        (
-            (
-                not is_finite,
-                "control points have numbers that are not finite", "", "leave these points out", "not-finite",
-            ),
-            (
-                2 * control_points.sizes.get("point", 0) <= len(names),
-                f"{control_points.sizes.get('point', 0)} points",
-                f"more than {len(names) / 2:g} for {', '.join(names)}", "", "control-points-few",
-            ),
-        ),
-    )  # fmt: skip
     problems = Problems("a boresight cannot be solved for", SchemaError)
-    for table in tables:
-        for is_wrong, found, expected, mend, code in table:
-            problems.add_if(is_wrong, found, expected=expected, mend=mend, code=code)
-        problems.raise_if_any()
+    count = control_points.sizes.get("point", 0)
+    problems.raise_if_any(
+        (
+            isinstance(solve, str) or not names or set(solve) - set(PARAMETERS),
+            Problem(f"solve {solve!r:.80}", f"some of {', '.join(PARAMETERS)}", code="choice-unknown"),
+        ),
+        (
+            missing,
+            Problem(
+                f"control points have no {', '.join(missing)} (point)",
+                mend="see hyperpaint.io.read_control_points",
+                code="variable-missing",
+            ),
+        ),
+    )
+    problems.raise_if_any(
+        (
+            not all(np.isfinite(control_points[name].values).all() for name in _FIELDS),
+            Problem(
+                "control points have numbers that are not finite",
+                mend="leave these points out",
+                code="not-finite",
+            ),
+        ),
+        (
+            2 * count <= len(names),
+            Problem(
+                f"{count} points",
+                f"more than {len(names) / 2:g} for {', '.join(names)}",
+                code="control-points-few",
+            ),
+        ),
+    )
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = map(float, lever_arm)
     sights = _sightings(

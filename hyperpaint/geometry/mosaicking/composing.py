@@ -269,7 +269,7 @@ def strips_of(
         )
         survey = shared.surveys[name]
         windows = tile_windows(line_grid.shape, tile)
-        touched = np.zeros((len(windows), len(windows[0])), bool)
+        touched = np.zeros([len(part) for part in windows], bool)
         for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
             touched[place] = bool(slabs)
         strips.append(Strip(name, orthomap, (row, col), touched))

@@ -356,6 +356,7 @@ def _median(values: Floats) -> float:
 
 
 Window = tuple[slice, slice]  # rows and columns of a tile
+Windows = tuple[list[slice], list[slice]]  # rows of the rows of tiles, and columns of the columns of tiles
 
 RULES = ("nadir", "first", "last")  # choice among several positions, in the order of the kernel's numbers
 
@@ -400,8 +401,8 @@ class Reading:
 
 
 def needed_slabs(
-    survey: Survey, grid: MapGrid, chunks: Sequence[int], windows: Sequence[Sequence[Window]]
-) -> dict[tuple[int, int], list[int]]:
+    survey: Survey, grid: MapGrid, chunks: Sequence[int], windows: Windows
+) -> dict[Place, list[int]]:
     # Return the slabs of lines that cover each tile; ``chunks`` are the lines of every slab.
     ends = np.cumsum(chunks)
     cells = survey.boxes / grid.gsd - np.repeat([grid.first[1], grid.first[0]], 2) - 0.5
@@ -409,12 +410,11 @@ def needed_slabs(
     # a patch needs both of its lines
     is_placed = np.isfinite(cells[:-1, 0]) & np.isfinite(cells[1:, 0])
     needed = {}
-    for row, tile_row in enumerate(windows):
-        row_slice = tile_row[0][0]
+    for row, row_slice in enumerate(windows[0]):
         pairs = np.flatnonzero(
             is_placed & (high[:, 3] >= row_slice.start - 1) & (low[:, 2] <= row_slice.stop)
         )
-        for col, (_, col_slice) in enumerate(tile_row):
+        for col, col_slice in enumerate(windows[1]):
             covering_pairs = pairs[
                 (high[pairs, 1] >= col_slice.start - 1) & (low[pairs, 0] <= col_slice.stop)
             ]
@@ -586,16 +586,16 @@ def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Arr
     return np.ascontiguousarray(slabs[slab + 1][0] if is_consecutive else slabs[slab][-1])
 
 
-def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
+def tile_windows(shape: tuple[int, int], tile: int) -> Windows:
     rows, cols = ([slice(k, min(k + tile, size)) for k in range(0, size, tile)] for size in shape)
-    return [[(row, col) for col in cols] for row in rows]
+    return rows, cols
 
 
 @dataclass(frozen=True)
 class Tiles:
     # The tiles of a map, and the slabs that each of them reads.
     grid: MapGrid
-    windows: list[list[Window]]  #: Cells of the tiles, by row and column
+    windows: Windows  #: Cells of the tiles
     slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads
     starts: tuple[int, ...]  #: First line of every slab
     #: The `TileIndex` of every tile, lazy, as an array with one object per tile, and its gaps (row, col)
@@ -610,7 +610,7 @@ class Tiles:
     def of(
         cls,
         plan: Plan,
-        windows: list[list[Window]],
+        windows: Windows,
         slabs: dict[Place, list[int]],
         places: Sequence[da.Array],
         *,
@@ -625,7 +625,7 @@ class Tiles:
             first = [starts[slab] for slab in slabs[place]]
             read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
             tasks[place] = (index_tile, key, rows, cols, first, *read)
-        single = ((1,) * len(windows), (1,) * len(windows[0]))
+        single = tuple((1,) * len(part) for part in windows)
         index = tile_array("map-index", tasks, single, object, places, plan, shared)
         gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _tiles_of(windows)}
         gap = tile_array("map-gap", gaps, _chunks(windows), np.bool_, [index], plan, shared)
@@ -694,13 +694,13 @@ class Tiles:
         return tile_array(label, tasks, chunks, dtype, [index_array, source], options)
 
 
-def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
-    rows = tuple(row[0][0].stop - row[0][0].start for row in windows)
-    return rows, tuple(window[1].stop - window[1].start for window in windows[0])
+def _chunks(windows: Windows) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(cells.stop - cells.start for cells in part) for part in windows)
 
 
-def _tiles_of(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
-    return (((row, col), window) for row, part in enumerate(windows) for col, window in enumerate(part))
+def _tiles_of(windows: Windows) -> Iterator[tuple[Place, Window]]:
+    rows, cols = (list(enumerate(part)) for part in windows)
+    return (((row, col), (row_cells, col_cells)) for row, row_cells in rows for col, col_cells in cols)
 
 
 # --- variables of the map, and values of empty cells ---------------------------------------------------
@@ -731,22 +731,22 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
         names = [*product, *(name for name in _BY_DEFAULT if name in line.variables)]
     else:
         names = list(dict.fromkeys(variables))
-    problems = Problems("these variables cannot be mapped", SchemaError)
-    for name in names:
-        if name not in line.variables:
-            names_of_line = ", ".join(sorted(map(str, line.variables)))
-            problems.add(f"{name!r} is missing", expected=f"{names_of_line:.400}", code="variable-missing")
-        elif set(line[name].dims) not in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK}):
-            dims = ", ".join(map(str, line[name].dims)) or "a scalar"
-            problems.add(
-                f"{name!r} ({dims}) cannot be mapped",
-                expected="along_track or cross_track",
-                code="dim-missing",
-            )
-        elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
-            expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
-            problems.add(f"{name!r} is {line[name].dtype}", expected=f"{expected}", code="type-wrong")
-    problems.raise_if_any()
+    with Problems("these variables cannot be mapped", SchemaError) as problems:
+        for name in names:
+            if name not in line.variables:
+                expected = f"{', '.join(sorted(map(str, line.variables))):.400}"
+                problems.add(f"{name!r} is missing", expected=expected, code="variable-missing")
+                continue
+            dims, dtype = line[name].dims, line[name].dtype
+            if set(dims) not in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK}):
+                problems.add(
+                    f"{name!r} ({', '.join(map(str, dims)) or 'a scalar'}) cannot be mapped",
+                    expected="along_track or cross_track",
+                    code="dim-missing",
+                )
+            elif _native(dtype) is None or (BAND in dims and dtype.kind == "M"):
+                expected = "numbers" if BAND in dims else "numbers, flags or times"
+                problems.add(f"{name!r} is {dtype}", expected=expected, code="type-wrong")
     # compare .str: numpy treats types of either byte order as equal
     native = {name: _native(line[name].dtype) for name in names}
     converted = {
@@ -987,26 +987,25 @@ def orthorectify(
            [3., 4., 5.],
            [0., 1., 2.]])
     """
-    problems = Problems("this line cannot be orthorectified", SchemaError)
-    one_of(grid, _GRIDS, "grid", problems=problems)
-    one_of(method, _METHODS, "method", problems=problems)
-    one_of(multi_hit, RULES, "multi_hit", problems=problems)
-    check_cells(problems, gsd, tile)
-    problems.add_if(
-        not 1.0 <= max_stretch < np.inf,
-        f"max_stretch {max_stretch!r:.60}",
-        expected="a number of cells from 1 on",
-        code="value-out-of-range",
-    )
-    if bounds is not None:
-        edges = np.asarray(bounds, np.float64)
+    with Problems("this line cannot be orthorectified", SchemaError) as problems:
+        one_of(grid, _GRIDS, "grid", problems=problems)
+        one_of(method, _METHODS, "method", problems=problems)
+        one_of(multi_hit, RULES, "multi_hit", problems=problems)
+        check_cells(problems, gsd, tile)
         problems.add_if(
-            not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()),
-            f"bounds {bounds!r:.80}",
-            expected="west, south, east, north [m], in this order",
-            code="bounds-invalid",
+            not 1.0 <= max_stretch < np.inf,
+            f"max_stretch {max_stretch!r:.60}",
+            expected="a number of cells from 1 on",
+            code="value-out-of-range",
         )
-    problems.raise_if_any()
+        if bounds is not None:
+            edges = np.asarray(bounds, np.float64)
+            problems.add_if(
+                not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()),
+                f"bounds {bounds!r:.80}",
+                expected="west, south, east, north [m], in this order",
+                code="bounds-invalid",
+            )
     SchemaError.raise_if(
         is_located(line) and location,
         f"this line is located already, so {', '.join(f'{name}=' for name in location)} would have no effect",
