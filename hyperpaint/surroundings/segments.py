@@ -382,18 +382,23 @@ def _match_glint(
     tilt, tilt_misfit, _ = unmix_spectra(
         spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
-    tilted = (tilt_misfit < 1.0) & (tilt[:, 0] < max_direct)
-    segments = segment[~tilted]
-    bodies = body_near[~tilted]
-    misfit = misfit[~tilted]
-    # Assign to every segment, and to the segments assigned to it before, the best fitting body.
-    # Return whether any segment changed.
+    fits = ~((tilt_misfit < 1.0) & (tilt[:, 0] < max_direct))
+    return assign_bodies(segment[fits], body_near[fits], misfit[fits], GLINTED, state, body)
+
+
+def assign_bodies(
+    segments: Ints, bodies: Ints, misfit: Floats, new_state: int, state: Array, body: Array
+) -> bool:
+    # Assign to every lit segment, and to the segments assigned to it before, the best fitting of its bodies;
+    # return whether any segment changed.
+    #
+    # Takes candidate pairs (pair,) with their ``misfit``; changes ``state`` and ``body`` (segment,).
     any_assigned = False
     for pair in np.argsort(misfit, kind="stable"):
-        segment, parent = segments[pair], bodies[pair]
-        if state[segment] == LIT and body[parent] != segment:
-            state[segment] = GLINTED
-            body[body == segment] = body[parent]
+        segment, parent = segments[pair], body[bodies[pair]]
+        if state[segment] == LIT and parent != segment:
+            state[segment] = new_state
+            body[body == segment] = parent
             any_assigned = True
     return any_assigned
 
@@ -462,9 +467,9 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     return Mixtures(segment[fits], body[fits], direct, sky, sent, misfit[fits])
 
 
-def in_parts(count: int, max_items: int = PAIRS_AT_ONCE) -> list[slice]:
-    # Return the slices that divide ``count`` items into parts of at most ``max_items``.
-    return [slice(start, start + max_items) for start in range(0, count, max_items)]
+def in_parts(count: int) -> list[slice]:
+    # Return the slices that divide ``count`` items into parts of at most `PAIRS_AT_ONCE`.
+    return [slice(start, start + PAIRS_AT_ONCE) for start in range(0, count, PAIRS_AT_ONCE)]
 
 
 def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> Ints:
@@ -630,14 +635,11 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     )
     is_sharp[:] = False
     is_sharp[y[fits], x[fits]] = True
-    for core, window in _components(is_sharp):
-        _add_sharp(picture, level, core, window, lobe)
-        release(picture.channels)
-        release(level)
-    for core, window in _components(is_mirrored & on_coat):
-        _add_sharp(picture, level, core, window, surely, is_mirrored=True)
-        release(picture.channels)
-        release(level)
+    for cores, lobes, beyond_lit in ((is_sharp, lobe, False), (is_mirrored & on_coat, surely, True)):
+        for core, window in _components(cores):
+            _add_sharp(picture, level, core, window, lobes, is_mirrored=beyond_lit)
+            release(picture.channels)
+            release(level)
     # wide cores: the mirrored sun is as bright as a white surface (line, column)
     distinguishable = np.append(_distinguishable(picture), False)
     is_wide = np.zeros(level.shape, bool)
@@ -661,11 +663,11 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     return layer
 
 
-def _components(mask: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
+def _components(mask: Bools) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
     # Yield the connected sets of a mask, each as a mask in its window, with the window
     pieces, _ = label(mask, np.ones((3, 3)))
     for number, box in enumerate(find_objects(pieces), 1):
-        window = padded(box, pad)
+        window = padded(box, 2)
         yield pieces[window] == number, window
 
 
@@ -700,7 +702,8 @@ def _add_sharp(
     core: Bools,
     window: tuple[slice, slice],
     lobe: Bools,
-    is_mirrored: bool = False,
+    *,
+    is_mirrored: bool,
 ) -> None:
     # Set the pixels of `lobe` around a sharp core, if the core mirrors the sun; ``is_mirrored`` where it is
     # brighter than lit surfaces

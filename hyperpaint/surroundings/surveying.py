@@ -62,6 +62,7 @@ from .segments import (
     Picture,
     Segments,
     Touching,
+    assign_bodies,
     beyond,
     border_steps,
     distance_to,
@@ -459,15 +460,9 @@ def _extend(
 
 
 def _assign(mixtures: Mixtures, accepted: Bools, state: Array, body: Array) -> bool:
-    # Assign to every segment the best fitting body of its accepted candidates; return whether any changed
-    any_assigned = False
-    for row in np.flatnonzero(accepted)[np.argsort(mixtures.misfit[accepted], kind="stable")]:
-        segment, parent = mixtures.segment[row], body[mixtures.body[row]]
-        if state[segment] == LIT and state[parent] == LIT and parent != segment:
-            state[segment] = SHADED
-            body[body == segment] = parent
-            any_assigned = True
-    return any_assigned
+    # Put every segment into the shadow of the best fitting body of its accepted candidates
+    chosen = mixtures.subset(accepted)
+    return assign_bodies(chosen.segment, chosen.body, chosen.misfit, SHADED, state, body)
 
 
 def shaded_pixels(
