@@ -933,9 +933,9 @@ def survey(
     """
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a scene model")
+        good = _good_bands(line, cube, wavelength, problems)
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
-    good = _good_bands(line, cube, wavelength)
     with Problems("this line cannot be surveyed", SchemaError) as problems:
         values = {"reach": reach, "heading": heading, "sun_azimuth": sun_azimuth}
         check_values(_OPTIONS, values, problems)
@@ -1118,8 +1118,7 @@ def fraction_in_shadow(
     return np.asarray(np.clip(under_open_sky.mean(axis=0) / spectrum[largest], 0.0, 1.0))
 
 
-def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
-    problems = Problems("this line cannot be surveyed", SchemaError)
+def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats, problems: Problems) -> Bools:
     problems.add_if(
         not cube.size,
         f"reflectance has shape {cube.shape}",
@@ -1145,7 +1144,6 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
             mend="add the wavelengths, or set 'good' to False in these bands",
             code="wavelength-missing",
         )
-    problems.raise_if_any()
     return good
 
 
