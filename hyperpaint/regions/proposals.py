@@ -17,7 +17,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import dask
-import dask.array as da
 import numpy as np
 import xarray as xr
 from scipy.ndimage import (
@@ -58,7 +57,6 @@ from hyperpaint.geometry.georeference.viewing import pixel_view
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.light.sun import diffuse_fraction, solar_position
-from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.corrections import (
     MAX_SUN_ZENITH_DEG,
@@ -72,9 +70,15 @@ from hyperpaint.surroundings.corrections import (
     sun_zenith_of,
 )
 from hyperpaint.surroundings.model import SHADED
-from hyperpaint.surroundings.scratch import compute_into, line_blocks, release, scratch_array, trim_memory
+from hyperpaint.surroundings.scratch import line_blocks, release, scratch_array, trim_memory
 from hyperpaint.surroundings.segments import padded
-from hyperpaint.surroundings.surveying import FLAG_LIMITS, flag_channels, is_vegetation, model_of, to_channels
+from hyperpaint.surroundings.surveying import (
+    FLAG_LIMITS,
+    flag_channels,
+    is_vegetation,
+    model_of,
+    read_channels,
+)
 
 from .polygons import (
     GEOGRAPHIC_CRS,
@@ -2457,22 +2461,10 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     # The line in the model's channels (line, column, channel), and those variables `_LAYERS` that it has, by
     # one pass
     names = _LAYERS[:3] if set(_LAYERS[:3]) <= set(line.variables) else ()
+    cube = schema.require(line, ["reflectance"], "regions")["reflectance"]
+    channels, *arrays = read_channels(cube, model.channel, [line[name].data for name in names])
+    layers = dict(zip(names, arrays, strict=True))
     quality = line.get("quality")
-    cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
-    (lines, _, columns), count = cube.shape, int(model.channel.max()) + 1
-    blocks = da.map_blocks(
-        to_channels,
-        cube.data,
-        model.channel,
-        dtype=np.float32,
-        chunks=(cube.data.chunks[0], (columns,), (count,)),
-        meta=np.empty((0, 0, 0), np.float32),
-    )
-    lazy = [blocks, *(line[name].data for name in names)]
-    # a long line is mapped to temporary files
-    channels, *found = (scratch_array((lines, columns, *array.shape[2:]), array.dtype) for array in lazy)
-    compute_into(lazy, [channels, *found])
-    layers = dict(zip(names, found, strict=True))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
     return channels, layers
 

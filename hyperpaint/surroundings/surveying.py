@@ -5,7 +5,7 @@ thresholds. Every pixel is unmixed into the reflectance of its body in the scene
 of sun and sky, plus mirrored sun and sky and the light of coloured neighbours.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -719,30 +719,27 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
 
 
 def read_channels(
-    cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
-) -> tuple[Floats32, Bools]:
-    # Return a complete line in channels (line, column, channel), and whether pixels are saturated.
+    cube: xr.DataArray, channel: Ints, layers: Sequence[Any] = (), progress: Progress | None = None
+) -> list[Array]:
+    # Return a complete line in channels (line, column, channel), float32, and its ``layers`` (line, column).
     #
-    # The line is read in blocks into a scratch array. Results have the same bits for any blocks, as every
-    # mean is over the bands of one pixel.
-    cube = line_chunked(cube)
-    lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
+    # All are read by one pass in blocks, into scratch arrays. Results have the same bits for any blocks, as
+    # every mean is over the bands of one pixel.
+    data = line_chunked(cube).data
+    lines, _, columns = data.shape
     count = int(channel.max()) + 1
-    channels, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
     blocks = da.map_blocks(
         to_channels,
-        cube.data,
+        data,
         channel,
         dtype=np.float32,
-        chunks=(cube.data.chunks[0], (columns,), (count,)),
+        chunks=(data.chunks[0], (columns,), (count,)),
         meta=np.empty((0, 0, 0), np.float32),
     )
-    if quality is None:
-        compute_into([blocks], [channels], progress)
-    else:
-        bits = da.asarray(quality.data).rechunk((cube.data.chunks[0], -1))
-        compute_into([blocks, (bits & np.uint16(Quality.SATURATED)) > 0], [channels, saturated], progress)
-    return channels, saturated
+    lazy = [blocks, *(da.asarray(layer).rechunk((data.chunks[0], -1)) for layer in layers)]
+    arrays = [scratch_array((lines, columns, *array.shape[2:]), array.dtype) for array in lazy]
+    compute_into(lazy, arrays, progress)
+    return arrays
 
 
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
@@ -933,10 +930,10 @@ def survey(
     """
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a scene model")
-        good = _good_bands(line, cube, wavelength, problems)
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
     with Problems("this line cannot be surveyed", SchemaError) as problems:
+        good = _good_bands(line, cube, wavelength, problems)
         values = {"reach": reach, "heading": heading, "sun_azimuth": sun_azimuth}
         check_values(_OPTIONS, values, problems)
     try:
@@ -949,12 +946,12 @@ def survey(
         ) from error
     fraction, zenith = line_split.fraction.values, line_split.zenith
     channel = channel_numbers(wavelength, good)
-    bits = (
-        schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
-        if "quality" in line.variables
-        else None
-    )
-    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
+    is_saturated: Any = np.zeros((cube.shape[0], cube.shape[2]), bool)
+    if "quality" in line.variables:
+        quality = schema.require(line, ["quality"], "a scene model")["quality"]
+        bits = quality.transpose(ALONG_TRACK, CROSS_TRACK).data
+        is_saturated = (bits & np.uint16(Quality.SATURATED)) > 0
+    channels, saturated = read_channels(cube, channel, [is_saturated], as_progress(progress, "survey"))
     channels, channel = without_unknown(channels, channel)
     spectra = (wavelength, fraction, line_split.u.values, *line_split.mirrored())
     is_used = channel >= 0
