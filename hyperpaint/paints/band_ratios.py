@@ -53,15 +53,14 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     """
     prefix = "" if "u_random" in signatures.variables else "reflectance_"
     names = [f"{prefix}u_{kind}" for kind in ("random", "systematic")]
-    problems = Problems("the covariance of bands cannot be computed", SchemaError)
-    for name in names:
-        problems.add_if(
-            name not in signatures.variables,
-            f"{name!r} is missing",
-            mend="extract signatures of reflectance with uncertainty",
-            code="variable-missing",
-        )
-    problems.raise_if_any()
+    with Problems("the covariance of bands cannot be computed", SchemaError) as problems:
+        for name in names:
+            problems.add_if(
+                name not in signatures.variables,
+                f"{name!r} is missing",
+                mend="extract signatures of reflectance with uncertainty",
+                code="variable-missing",
+            )
     random, systematic = (_last(signatures[name]) for name in names)
     other_dims = [dim for dim in signatures[names[0]].dims if dim != BAND]
     lags, shared = np.ones((1, *random.shape)), [np.nan_to_num(systematic)]

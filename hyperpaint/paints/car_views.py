@@ -100,14 +100,13 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
     >>> joined.car.values.tolist(), joined.finish.values.tolist()
     (['grey-01', 'grey-01', 'white-01'], ['metallic', 'metallic', 'unknown'])
     """
-    problems = Problems("views cannot be joined", SchemaError)
-    problems.add_if(
-        not is_number(distance) or not distance > 0.0,
-        f"distance={distance!r}",
-        expected="a positive number of metres",
-        code="value-out-of-range",
-    )
-    problems.raise_if_any()
+    with Problems("views cannot be joined", SchemaError) as problems:
+        problems.add_if(
+            not is_number(distance) or not distance > 0.0,
+            f"distance={distance!r}",
+            expected="a positive number of metres",
+            code="value-out-of-range",
+        )
     variables = schema.require(
         library, ["reflectance", "aspecular_angle"], "the views of cars", LIBRARY_VARIABLES
     )

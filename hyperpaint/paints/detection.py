@@ -503,23 +503,26 @@ def detect(
     variables = schema.require(line, ["reflectance", "wavelength"], "a detection")
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
     cube = variables["reflectance"]
-    problems = Problems("this line cannot be searched for paints", SchemaError)
-    problems.add_if(
-        set(cube.dims) != set(CUBE) or not cube.size,
-        f"reflectance has dims {dict(cube.sizes)}",
-        expected="lines, bands and columns",
-        code="dims-wrong",
-    )
-    one_of(method, METHODS, "method", problems=problems)
-    for argument, is_valid, expected in (
-        (f"false_alarm_rate={false_alarm_rate!r}", 0.0 < false_alarm_rate < 1.0, "a share between 0 and 1"),
-        (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
-        (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
-    ):
-        problems.add_if(not is_valid, argument, expected=expected, code="value-out-of-range")
-    if "good" in line.variables and line["good"].dims != (BAND,):
-        problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
-    problems.raise_if_any()
+    with Problems("this line cannot be searched for paints", SchemaError) as problems:
+        problems.add_if(
+            set(cube.dims) != set(CUBE) or not cube.size,
+            f"reflectance has dims {dict(cube.sizes)}",
+            expected="lines, bands and columns",
+            code="dims-wrong",
+        )
+        one_of(method, METHODS, "method", problems=problems)
+        for argument, is_valid, expected in (
+            (
+                f"false_alarm_rate={false_alarm_rate!r}",
+                0.0 < false_alarm_rate < 1.0,
+                "a share between 0 and 1",
+            ),
+            (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
+            (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
+        ):
+            problems.add_if(not is_valid, argument, expected=expected, code="value-out-of-range")
+        if "good" in line.variables and line["good"].dims != (BAND,):
+            problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     if "wavelength_shift" in line.variables:
         variables["reflectance"] = to_nominal(line)["reflectance"]
     paints, bands, other_paints = _spectra(line, variables["wavelength"].values, library, others)
@@ -813,10 +816,11 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     if region_list.coordinates == "sensor":
         lines_of(detections, region_list)  # raises for regions of other flight lines
     region_pixels = pixels_of(region_list, detections)
-    problems = Problems("these regions cannot be searched", SchemaError)
-    for name, (along, _) in zip(region_list.names, region_pixels, strict=True):
-        problems.add_if(not along.size, f"region {name!r} contains no pixel of the line", code="region-empty")
-    problems.raise_if_any()
+    with Problems("these regions cannot be searched", SchemaError) as problems:
+        for name, (along, _) in zip(region_list.names, region_pixels, strict=True):
+            problems.add_if(
+                not along.size, f"region {name!r} contains no pixel of the line", code="region-empty"
+            )
     in_region = np.zeros(detected.shape, bool)
     for pixels in region_pixels:
         in_region[pixels] = True

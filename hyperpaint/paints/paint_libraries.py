@@ -163,27 +163,32 @@ def search_library(
     >>> search_library(paints, name="*white")["signature"].values.tolist()
     ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
     """
-    problems = Problems("the library cannot be searched", SchemaError)
-    for key, value, query, query_value in (
-        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
-        ("maximum_angle", maximum_angle, "like", like),
-    ):
+    with Problems("the library cannot be searched", SchemaError) as problems:
+        for key, value, query, query_value in (
+            ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
+            ("maximum_angle", maximum_angle, "like", like),
+        ):
+            problems.add_if(
+                value is not None and query_value is None, f"{key}= needs {query}=", code="argument-missing"
+            )
+            problems.add_if(
+                value is not None and not value >= 0.0,
+                f"{key}={value!r}",
+                expected="0 or more",
+                code="value-out-of-range",
+            )
         problems.add_if(
-            value is not None and query_value is None, f"{key}= needs {query}=", code="argument-missing"
-        )
-        problems.add_if(
-            value is not None and not value >= 0.0,
-            f"{key}={value!r}",
-            expected="0 or more",
+            limit is not None and limit < 1,
+            f"limit={limit!r}",
+            expected="1 or more",
             code="value-out-of-range",
         )
-    problems.add_if(
-        limit is not None and limit < 1, f"limit={limit!r}", expected="1 or more", code="value-out-of-range"
-    )
-    problems.add_if(
-        name is not None and not name.strip(), "name= is empty", expected="part of a name", code="empty-input"
-    )
-    problems.raise_if_any()
+        problems.add_if(
+            name is not None and not name.strip(),
+            "name= is empty",
+            expected="part of a name",
+            code="empty-input",
+        )
     variables = schema.require(
         library, [SIGNATURE, "reflectance", "wavelength"], "a search", LIBRARY_VARIABLES
     )
@@ -383,15 +388,14 @@ class Interface:
     k2: float = 0.60
 
     def __post_init__(self) -> None:
-        problems = Problems("the interface of a paint cannot have these values", SchemaError)
-        for name, value in (("k1", self.k1), ("k2", self.k2)):
-            problems.add_if(
-                not 0.0 <= value < 1.0,
-                f"{name}={value!r}",
-                expected="a reflectance from 0 to below 1",
-                code="value-out-of-range",
-            )
-        problems.raise_if_any()
+        with Problems("the interface of a paint cannot have these values", SchemaError) as problems:
+            for name, value in (("k1", self.k1), ("k2", self.k2)):
+                problems.add_if(
+                    not 0.0 <= value < 1.0,
+                    f"{name}={value!r}",
+                    expected="a reflectance from 0 to below 1",
+                    code="value-out-of-range",
+                )
 
     def outside(self, layer: npt.ArrayLike) -> Floats:
         # Return the reflectance outside the interface of a layer, without mirrored light: 0 to 1 - k1.
@@ -429,17 +433,18 @@ class Coating:
         # values far below 0, where the denominator changes its sign, are too low as well
         low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
         high = ~low & (layer > 1.0)
-        problems = Problems("the library's reflectance is lower than its mirrored light", SchemaError)
-        for name, is_dark, has_value in zip(names, values < self.mirrored, np.isfinite(values), strict=True):
-            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
-            if self.mirrored.any() and share > MAX_DARK_SHARE:
-                problems.add(
-                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
-                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
-                    "times the diffuse fraction), or call remove_mirrored_sky first",
-                    code="paint-too-dark",
-                )
-        problems.raise_if_any()
+        with Problems("the library's reflectance is lower than its mirrored light", SchemaError) as problems:
+            for name, is_dark, has_value in zip(
+                names, values < self.mirrored, np.isfinite(values), strict=True
+            ):
+                share = float(is_dark.sum() / max(int(has_value.sum()), 1))
+                if self.mirrored.any() and share > MAX_DARK_SHARE:
+                    problems.add(
+                        f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                        mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors "
+                        "k1 times the diffuse fraction), or call remove_mirrored_sky first",
+                        code="paint-too-dark",
+                    )
         if low.any() or high.any():
             finite_count = int(np.isfinite(values).sum())
             warn_user(
@@ -466,25 +471,24 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     #
     # Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     interface = Interface(k1, k2)
-    problems = Problems("the light mirrored by the coat is unknown", SchemaError)
-    try:
-        default = 0.0 if mirror_reflection(library) == EXCLUDED else k1
-    except SchemaError as error:
-        default = k1
-        problems.add_error(str(library.attrs.get("title", "the library")), error)
-    mirrored = default if mirrored is None else mirrored
-    values = np.asarray(mirrored, np.float64)
-    if values.shape not in ((), (library.sizes[BAND],)):
-        problems.add(
-            f"mirrored= has shape {values.shape}",
-            expected="one number, or one per band",
-            code="length-mismatch",
-        )
-    elif not ((values >= 0.0) & (values < 1.0)).all():
-        problems.add(
-            f"mirrored={mirrored!r:.40}", expected="values from 0 to below 1", code="value-out-of-range"
-        )
-    problems.raise_if_any()
+    with Problems("the light mirrored by the coat is unknown", SchemaError) as problems:
+        try:
+            default = 0.0 if mirror_reflection(library) == EXCLUDED else k1
+        except SchemaError as error:
+            default = k1
+            problems.add_error(str(library.attrs.get("title", "the library")), error)
+        mirrored = default if mirrored is None else mirrored
+        values = np.asarray(mirrored, np.float64)
+        if values.shape not in ((), (library.sizes[BAND],)):
+            problems.add(
+                f"mirrored= has shape {values.shape}",
+                expected="one number, or one per band",
+                code="length-mismatch",
+            )
+        elif not ((values >= 0.0) & (values < 1.0)).all():
+            problems.add(
+                f"mirrored={mirrored!r:.40}", expected="values from 0 to below 1", code="value-out-of-range"
+            )
     return Coating(interface, values)
 
 
@@ -688,40 +692,39 @@ def sample_paints(
     variables, faults = schema.find(
         library, [SIGNATURE, "reflectance", "member_reflectance", "wavelength"], schema.LIBRARY_VARIABLES
     )
-    problems = Problems("variants cannot be drawn", SchemaError)
-    problems.extend(faults)
-    problems.add_if(count < 1, f"count={count!r}", expected="1 or more", code="value-out-of-range")
-    one_of(form, ("members", "paints"), "form", problems=problems)
-    problems.add_if(
-        bandwidth is not None and not 0.0 <= bandwidth < np.inf,
-        f"bandwidth={bandwidth!r}",
-        expected="0 or more, or None",
-        code="value-out-of-range",
-    )
-    problems.raise_if_any()
+    with Problems("variants cannot be drawn", SchemaError) as problems:
+        problems.extend(faults)
+        problems.add_if(count < 1, f"count={count!r}", expected="1 or more", code="value-out-of-range")
+        one_of(form, ("members", "paints"), "form", problems=problems)
+        problems.add_if(
+            bandwidth is not None and not 0.0 <= bandwidth < np.inf,
+            f"bandwidth={bandwidth!r}",
+            expected="0 or more, or None",
+            code="value-out-of-range",
+        )
     members = np.asarray(variables["member_reflectance"].values)
     names = [str(name) for name in library[SIGNATURE].values]
     variants = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
     excluded = outside = 0
-    for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
-        # bands in which most members have a value (band,), and the members with values in all these bands
-        present = np.asarray(spectra, np.float64)[np.isfinite(spectra).any(axis=1)]
-        is_finite = np.isfinite(present)
-        bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(present.shape[1], np.bool_)
-        complete = present[is_finite[:, bands].all(axis=1)][:, bands]
-        if len(complete) < 2:
-            problems.add(
-                f"{name!r} has {len(complete)} members with values in all bands",
-                expected="at least 2",
-                mend="remove the paint from the library",
-                code="members-too-few",
-            )
-            continue
-        excluded += int(np.isfinite(spectra).any(axis=1).sum()) - len(complete)
-        outside += int(((complete <= -_MIN_MARGIN) | (complete >= 1.0 + _MIN_MARGIN)).sum())
-        rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-        variants[number][:, bands] = draw_variants(complete, count, rng, bandwidth)
-    problems.raise_if_any()
+    with Problems("variants cannot be drawn", SchemaError) as problems:
+        for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
+            # bands in which most members have a value (band,), and the members with values in all these bands
+            present = np.asarray(spectra, np.float64)[np.isfinite(spectra).any(axis=1)]
+            is_finite = np.isfinite(present)
+            bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(present.shape[1], np.bool_)
+            complete = present[is_finite[:, bands].all(axis=1)][:, bands]
+            if len(complete) < 2:
+                problems.add(
+                    f"{name!r} has {len(complete)} members with values in all bands",
+                    expected="at least 2",
+                    mend="remove the paint from the library",
+                    code="members-too-few",
+                )
+                continue
+            excluded += int(np.isfinite(spectra).any(axis=1).sum()) - len(complete)
+            outside += int(((complete <= -_MIN_MARGIN) | (complete >= 1.0 + _MIN_MARGIN)).sum())
+            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            variants[number][:, bands] = draw_variants(complete, count, rng, bandwidth)
     if excluded or outside:
         warn_user(
             f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
@@ -1038,37 +1041,36 @@ def _checked(
     scattering: Mapping[str, float] | None,
 ) -> dict[str, dict[str, float]]:
     _require(library)
-    problems = Problems("paints cannot be mixed", SchemaError)
-    paint_names = [str(name) for name in library[SIGNATURE].values]
-    one_of(method, METHODS, "method", problems=problems)
-    problems.add_if(
-        not recipes,
-        "recipes= is empty",
-        mend='pass at least one recipe, such as {"grey": {"white": 9, "black": 1}}',
-        code="empty-input",
-    )
-    shares = {}
-    for name, recipe in recipes.items():
-        for parent in recipe:
-            _check_name(str(parent), f"{name!r}", paint_names, problems)
-        parts = np.array([*recipe.values()], np.float64)
-        if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
-            problems.add(
-                f"{name!r}: parts are {list(recipe.values())}",
-                expected="0 or more, not all 0",
+    with Problems("paints cannot be mixed", SchemaError) as problems:
+        paint_names = [str(name) for name in library[SIGNATURE].values]
+        one_of(method, METHODS, "method", problems=problems)
+        problems.add_if(
+            not recipes,
+            "recipes= is empty",
+            mend='pass at least one recipe, such as {"grey": {"white": 9, "black": 1}}',
+            code="empty-input",
+        )
+        shares = {}
+        for name, recipe in recipes.items():
+            for parent in recipe:
+                _check_name(str(parent), f"{name!r}", paint_names, problems)
+            parts = np.array([*recipe.values()], np.float64)
+            if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
+                problems.add(
+                    f"{name!r}: parts are {list(recipe.values())}",
+                    expected="0 or more, not all 0",
+                    code="value-out-of-range",
+                )
+            elif not len(problems):
+                shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
+        for name, number in (scattering or {}).items():
+            _check_name(name, "scattering", paint_names, problems)
+            problems.add_if(
+                not 0.0 < number < np.inf,
+                f"scattering of {name!r} is {number!r}",
+                expected="a number above 0",
                 code="value-out-of-range",
             )
-        elif not len(problems):
-            shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
-    for name, number in (scattering or {}).items():
-        _check_name(name, "scattering", paint_names, problems)
-        problems.add_if(
-            not 0.0 < number < np.inf,
-            f"scattering of {name!r} is {number!r}",
-            expected="a number above 0",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
     return shares
 
 
@@ -1154,22 +1156,21 @@ def starter_library(
     ((40, 5, 272), 'synthetic')
     """
     nm = np.linspace(FIRST_NM, LAST_NM, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
-    problems = Problems("the starter library cannot be computed", SchemaError)
-    problems.add_if(
-        not 0 <= members <= MAX_MEMBERS,
-        f"members={members!r}",
-        expected=f"0 to {MAX_MEMBERS}",
-        code="value-out-of-range",
-    )
-    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
-        problems.add(
-            f"wavelength={wavelength!r:.40}",
-            expected="one number a band, from 300 to 2500 nm",
+    with Problems("the starter library cannot be computed", SchemaError) as problems:
+        problems.add_if(
+            not 0 <= members <= MAX_MEMBERS,
+            f"members={members!r}",
+            expected=f"0 to {MAX_MEMBERS}",
             code="value-out-of-range",
         )
-    elif not (np.diff(nm) > 0.0).all():
-        problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
-    problems.raise_if_any()
+        if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
+            problems.add(
+                f"wavelength={wavelength!r:.40}",
+                expected="one number a band, from 300 to 2500 nm",
+                code="value-out-of-range",
+            )
+        elif not (np.diff(nm) > 0.0).all():
+            problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
     specs = _specs()
     values: dict[str, Array] = {
         # reflectance of the body between the flakes, without mirrored light

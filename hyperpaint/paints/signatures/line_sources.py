@@ -319,26 +319,27 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
     # Return the flight lines of regions by name, located if needed, each with the numbers of its regions.
     #
     # Raises `SchemaError`: a region names an unknown flight line, or no flight line where there are several.
-    problems = Problems("regions cannot be found on their flight lines", SchemaError)
-    lines_by_name = _by_name(line)
-    single = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None
-    # the flight lines in a map of several
-    mapped = () if single is None else lines_of_cells(schema.rename_to_roles(lines_by_name[single]))
-    # a single line without a name is the flight line of all regions if these name at most one
-    is_nameless = single == "" and len(regions.flightlines) < 2 and not mapped
-    lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
-    for position, region in enumerate(regions):
-        on_single = is_nameless or not region.flightline or region.flightline.replace(" ", "_") in mapped
-        name = single if single is not None and on_single else region.flightline
-        if name in lines_by_name:
-            if name not in lines:
-                lines[name] = (located_for(regions, lines_by_name[name]), [])
-            lines[name][1].append(position)
-            continue
-        names = " or ".join(map(repr, mapped or lines_by_name)) or "no flight line"
-        naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-        problems.add(f"region {region.name!r} {naming}", expected=names, code="flightline-unknown")
-    problems.raise_if_any()
+    with Problems("regions cannot be found on their flight lines", SchemaError) as problems:
+        lines_by_name = _by_name(line)
+        single = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None
+        # the flight lines in a map of several
+        mapped = () if single is None else lines_of_cells(schema.rename_to_roles(lines_by_name[single]))
+        # a single line without a name is the flight line of all regions if these name at most one
+        is_nameless = single == "" and len(regions.flightlines) < 2 and not mapped
+        lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
+        for position, region in enumerate(regions):
+            on_single = is_nameless or not region.flightline or region.flightline.replace(" ", "_") in mapped
+            name = single if single is not None and on_single else region.flightline
+            if name in lines_by_name:
+                if name not in lines:
+                    lines[name] = (located_for(regions, lines_by_name[name]), [])
+                lines[name][1].append(position)
+                continue
+            names = " or ".join(map(repr, mapped or lines_by_name)) or "no flight line"
+            naming = (
+                f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
+            )
+            problems.add(f"region {region.name!r} {naming}", expected=names, code="flightline-unknown")
     return lines
 
 
