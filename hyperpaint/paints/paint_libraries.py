@@ -55,7 +55,7 @@ from hyperpaint.base import (
     one_of,
     schema,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour, srgb, srgb_hex
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
@@ -445,14 +445,13 @@ class Coating:
                         "k1 times the diffuse fraction), or call remove_mirrored_sky first",
                         code="paint-too-dark",
                     )
-        if low.any() or high.any():
-            finite_count = int(np.isfinite(values).sum())
-            warn_user(
-                f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
-                f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
-                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1",
-                "reflectance-outside-model",
-            )
+        warn_if(
+            low.any() or high.any(),
+            f"{int(low.sum())} of {int(np.isfinite(values).sum())} reflectances are darker than any paint "
+            f"layer under an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they "
+            f"were replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1",
+            "reflectance-outside-model",
+        )
         layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
@@ -725,12 +724,12 @@ def sample_paints(
             outside += int(((complete <= -_MIN_MARGIN) | (complete >= 1.0 + _MIN_MARGIN)).sum())
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
             variants[number][:, bands] = draw_variants(complete, count, rng, bandwidth)
-    if excluded or outside:
-        warn_user(
-            f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
-            f"than {_MIN_MARGIN:g}, the range of variants",
-            "members-left-out",
-        )
+    warn_if(
+        excluded or outside,
+        f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
+        f"than {_MIN_MARGIN:g}, the range of variants",
+        "members-left-out",
+    )
     # Variants (signature, member, band) as members of one new paint for each parent, or as paints
     count = variants.shape[1]
     parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
@@ -888,13 +887,12 @@ def mix_paints(
     if method == "linear":
         areas = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
         for array in areas.values():
-            outside = int(((array < 0.0) | (array > 1.0)).sum())
-            if outside:
-                finite_count = int(np.isfinite(array).sum())
-                warn_user(
-                    f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale",
-                    "reflectance-clipped",
-                )
+            outside, finite_count = ((array < 0.0) | (array > 1.0)).sum(), np.isfinite(array).sum()
+            warn_if(
+                outside,
+                f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale",
+                "reflectance-clipped",
+            )
         mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
@@ -911,13 +909,13 @@ def mix_paints(
         # members without a partner among the other parents
         counts = np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1)
         unpaired = np.array([int((counts[row] - counts[row].min()).sum()) for row in weights > 0.0])
-        if unpaired.any():
-            warn_user(
-                f"{unpaired.sum()} members of the parents of {int((unpaired > 0).sum())} of {len(unpaired)} "
-                "paints have no partner and were excluded; draw the same number of members of each parent "
-                "with sample_paints first",
-                "members-unpaired",
-            )
+        warn_if(
+            unpaired.any(),
+            f"{unpaired.sum()} members of the parents of {int((unpaired > 0).sum())} of {len(unpaired)} "
+            "paints have no partner and were excluded; draw the same number of members of each parent "
+            "with sample_paints first",
+            "members-unpaired",
+        )
     values = _trimmed(specular | mix)
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 
