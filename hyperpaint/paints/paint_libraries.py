@@ -567,13 +567,16 @@ def synthetic_library(
                     (
                         "parents",
                         "Paints it was made from, as JSON",
-                        [_json(list(shares)) for shares in parents],
+                        [json.dumps(list(shares), ensure_ascii=False) for shares in parents],
                     ),
                     # twelve digits, so that the last bits of a division do not show
                     (
                         "weights",
                         "Shares of the parents, as JSON",
-                        [_json([float(f"{part:.12g}") for part in shares.values()]) for shares in parents],
+                        [
+                            json.dumps([float(f"{part:.12g}") for part in shares.values()])
+                            for shares in parents
+                        ],
                     ),
                     ("method", "How it was made", [method] * len(names)),
                 )
@@ -602,10 +605,6 @@ def _spread_of_paint(members: Array) -> tuple[Array, Array]:
     if (has_value := finite_count > 0).any():
         quantiles[:, has_value] = quantile_of(members[:, has_value], QUANTILES, axis=0)
     return sd, quantiles
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
 
 
 Form = Literal["members", "paints"]
