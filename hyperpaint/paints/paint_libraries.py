@@ -730,9 +730,8 @@ def sample_paints(
         "members-left-out",
     )
     # Variants (signature, member, band) as members of one new paint for each parent, or as paints
-    count = variants.shape[1]
-    parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
-    parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
+    parent_rows = np.repeat(np.arange(len(names)), 1 if form == "members" else count)
+    parents = [names[row] for row in parent_rows]
     names = [f"{name} (synthetic)" for name in parents]
     values = {"reflectance": variants.mean(axis=1, dtype=np.float64), MEMBERS: variants}
     if form == "paints":
@@ -879,7 +878,8 @@ def mix_paints(
     """
     shares = _checked(library, recipes, method, scattering)
     parents = list(dict.fromkeys(name for recipe in shares.values() for name in recipe))
-    values = _spectra(library, parents)
+    names = [str(name) for name in library[SIGNATURE].values]
+    values = _spectra(library.isel({SIGNATURE: [names.index(name) for name in parents]}))
     weights = np.array([[recipe.get(name, 0.0) for name in parents] for recipe in shares.values()])
     specular = {SPECULAR: _averaged(weights, values[SPECULAR])} if SPECULAR in values else {}
     settings: dict[str, Any] = {}
@@ -974,11 +974,11 @@ def shade_paints(
         expected="numbers above 0, such as [0.1, 0.5, 2]",
         code="value-out-of-range",
     )
-    _require(library)
+    originals = _spectra(library)
     names = [str(name) for name in library[SIGNATURE].values]
     coating, count = coating_of(library, k1, k2, mirrored), len(names)
     spectra: dict[str, Floats] = {}
-    for name, array in _spectra(library, None).items():
+    for name, array in originals.items():
         repeated = np.repeat(array if name == SPECULAR else coating.ratio(array, names), factors.size, axis=0)
         scale = np.tile(factors, count).reshape(-1, *[1] * (array.ndim - 1))
         spectra[name] = repeated if name == SPECULAR else coating.reflectance(repeated * scale)
@@ -1001,18 +1001,12 @@ def _averaged(weights: Floats, values: Floats) -> Floats:
     return sums
 
 
-def _require(library: xr.Dataset) -> None:
-    schema.require(library, [SIGNATURE, "reflectance", "wavelength"], "new paints", schema.LIBRARY_VARIABLES)
-
-
-def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
-    # Spectra to mix by variable, float64 [1]; `parents` None selects all paints
-    if parents is not None:
-        names = [str(name) for name in library[SIGNATURE].values]
-        library = library.isel({SIGNATURE: [names.index(name) for name in parents]})
-    names = [name for name in ("reflectance", MEMBERS) if name in library.variables]
+def _spectra(library: xr.Dataset) -> dict[str, Floats]:
+    # Spectra of paints by variable, float64 [1]
+    members = [name for name in (MEMBERS,) if name in library.variables]
+    names = [SIGNATURE, "wavelength", "reflectance", *members]
     variables = schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
-    spectra = {name: np.asarray(array.values, np.float64) for name, array in variables.items()}
+    spectra = {name: np.asarray(variables[name].values, np.float64) for name in names[2:]}
     if SPECULAR in library.variables:
         spectra[SPECULAR] = np.asarray(specular_of(library), np.float64)
     if MEMBERS in spectra:
@@ -1037,7 +1031,7 @@ def _checked(
     method: str,
     scattering: Mapping[str, float] | None,
 ) -> dict[str, dict[str, float]]:
-    _require(library)
+    schema.require(library, [SIGNATURE, "reflectance", "wavelength"], "new paints", schema.LIBRARY_VARIABLES)
     with Problems("paints cannot be mixed", SchemaError) as problems:
         paint_names = [str(name) for name in library[SIGNATURE].values]
         one_of(method, METHODS, "method", problems=problems)
