@@ -274,7 +274,11 @@ def gather(
         select([arrays[block] for arrays in blocks], len(cubes), row[pixels], column[pixels], bands)
         for block, pixels in zip(used_blocks, block_pixels, strict=True)
     ]
-    lazy = {name: _concatenated(array) for name, array in small.items() if array.chunks is not None}
+    lazy = {
+        name: dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
+        for name, array in small.items()
+        if array.chunks is not None
+    }
     values = {name: array.values for name, array in small.items() if name not in lazy}
     width = len(range(*bands.indices(first.sizes[BAND])))
     spectra = {name: np.empty((along.size, width), np.float32) for name in cubes}
@@ -299,10 +303,6 @@ def gather(
 def _offset(progress: Progress, finished: int, tasks: int) -> Progress:
     # Progress over all tasks, from the progress over a batch after `finished` tasks
     return lambda count, _: progress(min(finished + count, tasks), tasks)
-
-
-def _concatenated(array: xr.DataArray) -> Any:
-    return dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
 
 
 def _selected(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
