@@ -678,31 +678,33 @@ def _checked(
     # The line with `LEVELS` and `WIDTHS` in units of 1. Raise for missing variables, numbers (value, minimum,
     # maximum) out of range, one of the excluded corrections, and, with `of_body`, a mirrored sky
     line = schema.rename_to_roles(line)
-    problems = Problems("reflectance cannot be corrected", SchemaError)
-    for name in ("reflectance", "wavelength"):
-        problems.add_if(name not in line.variables, f"{name!r} is missing", code="variable-missing")
-    for name, (value, low, high) in numbers.items():
+    with Problems("reflectance cannot be corrected", SchemaError) as problems:
+        for name in ("reflectance", "wavelength"):
+            problems.add_if(name not in line.variables, f"{name!r} is missing", code="variable-missing")
+        for name, (value, low, high) in numbers.items():
+            problems.add_if(
+                not low <= value <= high,
+                f"{name}={value!r}",
+                expected=f"{low:g} to {high:g}",
+                code="value-out-of-range",
+            )
+        attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
+        earlier = [name for name in excluded if name in attrs]
+        for name in earlier:
+            problems.add(
+                f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
+            )
         problems.add_if(
-            not low <= value <= high,
-            f"{name}={value!r}",
-            expected=f"{low:g} to {high:g}",
-            code="value-out-of-range",
+            of_body
+            and "reflectance" in line.variables
+            and not earlier
+            and mirror_reflection(line) != EXCLUDED,
+            "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
+            mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
+            f"{EXCLUDED!r} where no mirrored sky is included",
+            option="give --specular-sky",
+            code="mirrored-sky-included",
         )
-    attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
-    earlier = [name for name in excluded if name in attrs]
-    for name in earlier:
-        problems.add(
-            f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
-        )
-    problems.add_if(
-        of_body and "reflectance" in line.variables and not earlier and mirror_reflection(line) != EXCLUDED,
-        "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
-        mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
-        f"{EXCLUDED!r} where no mirrored sky is included",
-        option="give --specular-sky",
-        code="mirrored-sky-included",
-    )
-    problems.raise_if_any()
     return line.assign(
         {name: convert(line[name], "1") for name in (*LEVELS, *WIDTHS) if name in line.variables}
     )

@@ -206,77 +206,79 @@ class SceneModel:
         Raises `SchemaError`: variables are missing or have other dims, types or sizes, numbers refer to
         unknown segments or channels, or values are out of range; all are listed.
         """
-        problems = Problems("the dataset is not a scene model", SchemaError)
-        fields: dict[str, Any] = {}
-        for name, (dims, dtype, _, meaning) in _LAYOUT.items():
-            stored = "band_channel" if name == "channel" else name
-            if stored not in dataset.variables and name in _DEFAULTS:
-                fields[name] = np.full([dataset.sizes.get(dim, 0) for dim in dims], _DEFAULTS[name], dtype)
-            elif stored not in dataset.variables:
-                problems.add(
-                    f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})", code="variable-missing"
-                )
-            elif set(dataset[stored].dims) != set(dims):
-                problems.add(
-                    f"{stored!r} has dims {dataset[stored].dims}", expected=f"{dims}", code="dims-wrong"
-                )
-            else:
-                values = dataset[stored].transpose(*dims).values
-                # a cast must keep all values in range; both comparisons are False for NaN
-                if values.dtype.kind in "iufb" and (
-                    dtype == "float64"
-                    or not values.size
-                    or (values.min() >= np.iinfo(dtype).min and values.max() <= np.iinfo(dtype).max)
-                ):
-                    fields[name] = np.ascontiguousarray(values, dtype)
-                else:
-                    problems.add(
-                        f"{stored!r} holds {values.dtype} values", expected=f"{dtype}", code="type-wrong"
+        with Problems("the dataset is not a scene model", SchemaError) as problems:
+            fields: dict[str, Any] = {}
+            for name, (dims, dtype, _, meaning) in _LAYOUT.items():
+                stored = "band_channel" if name == "channel" else name
+                if stored not in dataset.variables and name in _DEFAULTS:
+                    fields[name] = np.full(
+                        [dataset.sizes.get(dim, 0) for dim in dims], _DEFAULTS[name], dtype
                     )
-        # Check references, counts and ranges of the numbers of the model
-        count, channels = dataset.sizes.get("segment_number", 0), dataset.sizes.get("channel", 0)
-        for name in ("segment", "neighbour", "body", "paint"):
-            numbers = fields.get(name, np.empty(0))
+                elif stored not in dataset.variables:
+                    problems.add(
+                        f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})",
+                        code="variable-missing",
+                    )
+                elif set(dataset[stored].dims) != set(dims):
+                    problems.add(
+                        f"{stored!r} has dims {dataset[stored].dims}", expected=f"{dims}", code="dims-wrong"
+                    )
+                else:
+                    values = dataset[stored].transpose(*dims).values
+                    # a cast must keep all values in range; both comparisons are False for NaN
+                    if values.dtype.kind in "iufb" and (
+                        dtype == "float64"
+                        or not values.size
+                        or (values.min() >= np.iinfo(dtype).min and values.max() <= np.iinfo(dtype).max)
+                    ):
+                        fields[name] = np.ascontiguousarray(values, dtype)
+                    else:
+                        problems.add(
+                            f"{stored!r} holds {values.dtype} values", expected=f"{dtype}", code="type-wrong"
+                        )
+            # Check references, counts and ranges of the numbers of the model
+            count, channels = dataset.sizes.get("segment_number", 0), dataset.sizes.get("channel", 0)
+            for name in ("segment", "neighbour", "body", "paint"):
+                numbers = fields.get(name, np.empty(0))
+                problems.add_if(
+                    not ((numbers >= -1) & (numbers < count)).all(),
+                    f"{name!r} refers to segments other than the {count} of the model",
+                    code="segment-unknown",
+                )
+            if "channel" in fields:
+                numbers = np.unique(fields["channel"])
+                problems.add_if(
+                    not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)),
+                    "'band_channel' is incomplete",
+                    expected=f"each of the {channels} channels, and -1 for unused bands",
+                    code="channel-unknown",
+                )
+            if {"neighbour", "segment"} <= fields.keys():
+                cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
+                problems.add_if(
+                    fields["neighbour"].shape[:2] != cells,
+                    f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+                    expected=f"{cells}",
+                    code="grid-mismatch",
+                )
             problems.add_if(
-                not ((numbers >= -1) & (numbers < count)).all(),
-                f"{name!r} refers to segments other than the {count} of the model",
-                code="segment-unknown",
+                not np.isfinite(fields.get("shift", np.empty(0))).all(),
+                "'shift' is not finite",
+                code="not-finite",
             )
-        if "channel" in fields:
-            numbers = np.unique(fields["channel"])
-            problems.add_if(
-                not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)),
-                "'band_channel' is incomplete",
-                expected=f"each of the {channels} channels, and -1 for unused bands",
-                code="channel-unknown",
-            )
-        if {"neighbour", "segment"} <= fields.keys():
-            cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
-            problems.add_if(
-                fields["neighbour"].shape[:2] != cells,
-                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
-                expected=f"{cells}",
-                code="grid-mismatch",
-            )
-        problems.add_if(
-            not np.isfinite(fields.get("shift", np.empty(0))).all(),
-            "'shift' is not finite",
-            code="not-finite",
-        )
-        for name, low, high in (
-            ("noise", 0.0, np.inf),
-            ("tilt", 1e-6, np.inf),
-            ("diffuse_fraction", 0.0, 1.0),
-            ("zenith_radiance", 0.0, np.inf),
-            ("sunward_radiance", 0.0, np.inf),
-        ):
-            values = fields.get(name, np.empty(0))
-            problems.add_if(
-                not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
-                f"{name!r} is not finite, or outside {low:g} to {high:g}",
-                code="value-out-of-range",
-            )
-        problems.raise_if_any()
+            for name, low, high in (
+                ("noise", 0.0, np.inf),
+                ("tilt", 1e-6, np.inf),
+                ("diffuse_fraction", 0.0, 1.0),
+                ("zenith_radiance", 0.0, np.inf),
+                ("sunward_radiance", 0.0, np.inf),
+            ):
+                values = fields.get(name, np.empty(0))
+                problems.add_if(
+                    not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
+                    f"{name!r} is not finite, or outside {low:g} to {high:g}",
+                    code="value-out-of-range",
+                )
         return cls(
             **fields,
             attrs={name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"},
