@@ -35,7 +35,7 @@ from hyperpaint.base import (
     one_of,
     schema,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.geometry.georeference.viewing import pixel_view
 from hyperpaint.light.clear_sky import ClearSky, air_mass, cubic_weights, linear_weights, sunward_gain
@@ -252,8 +252,7 @@ def split_of(
         code="choice-unknown",
     )
     zenith = sun_zenith_of(line, sun_zenith)
-    if diffuse is None:
-        warn_user(CLEAR_SKY_ASSUMED, "clear-sky-assumed")
+    warn_if(diffuse is None, CLEAR_SKY_ASSUMED, "clear-sky-assumed")
     fraction = xr.DataArray(diffuse_from_clear_sky(diffuse or "model", wavelength, zenith), dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
     u = MODEL_U * fraction * (1.0 - fraction)
@@ -270,8 +269,8 @@ def has_split(line: xr.Dataset) -> bool:
 
 def warn_of_contradiction(states: Any, zenith: float) -> None:
     # Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory".
-    if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
-        warn_user(CONTRADICTION.format(zenith=zenith), "sky-contradictory")
+    is_contradicted = np.mean(np.asarray(states) == CONTRADICTORY) > 0.5
+    warn_if(is_contradicted, CONTRADICTION.format(zenith=zenith), "sky-contradictory")
 
 
 def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
