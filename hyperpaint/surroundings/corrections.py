@@ -536,7 +536,7 @@ def remove_mirrored_sky(
     if SIGNATURE in line["reflectance"].dims:
         paints = list(_paints(line, diffuse, sun_zenith, sky))
         parts = [
-            mirrored_sky(split, *_view_of(paint), strength=amount, lean_u=_lean_of(paint, LEAN_U_DEG))
+            mirrored_sky(split, *_view_of(paint), strength=amount, lean_u=_known(paint["lean"], LEAN_U_DEG))
             for paint, split in paints
         ]
         mirrored, mirrored_u = (_by_paint(column) for column in zip(*parts, strict=True))
@@ -643,7 +643,8 @@ def correct_light(
     split = split_of(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
     if split.sky not in ("uniform", "overcast"):
-        gain = (1.0 - split.cloud) * _on_bands(sunward_gain(split.wavelength, split.zenith))
+        of_sky = sunward_gain(split.wavelength, split.zenith).astype(np.float32)
+        gain = (1.0 - split.cloud) * xr.DataArray(of_sky, dims=BAND)
     share, lean = split.fraction.astype(np.float32), np.clip(direct - 1.0, -MAX_TILT_GAIN, MAX_TILT_GAIN)
     try:
         # xarray would reduce operands with other pixels to the common ones
@@ -856,10 +857,6 @@ def mirrored_sky(
     return value, variance**0.5
 
 
-def _on_bands(values: Any) -> xr.DataArray:
-    return xr.DataArray(values.astype(np.float32), dims=BAND)
-
-
 def _with_correction(
     line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str
 ) -> xr.Dataset:
@@ -968,7 +965,9 @@ def correct_coat(
             rows.append(_shares(split, incidence, angle, (*coat, lean_u)))
             if needs_u:
                 removed_u.append(
-                    mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=_lean_of(paint, lean_u))[1]
+                    mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=_known(paint["lean"], lean_u))[
+                        1
+                    ]
                 )
         shares: Any = [_by_paint(column) for column in zip(*rows, strict=True)]
         if needs_u:
@@ -1023,31 +1022,27 @@ def _shares(
 def _paints(
     library: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None
 ) -> Iterator[tuple[xr.Dataset, LightSplit]]:
-    # Yield geometry and split of every paint under its sun; other arguments as for `split_of`
-    names = {"wavelength", *SPLIT, "sun_zenith", "view_zenith", "relative_azimuth", "lean"}
-    variables = library[sorted(names & set(library.variables))].reset_coords().compute()
+    # Yield geometry and split of every paint under its sun; other arguments as for `split_of`. Angles that
+    # the library lacks are NaN.
+    angles = {"sun_zenith", "view_zenith", "relative_azimuth", "lean"}
+    names = {"wavelength", *SPLIT, *angles} & set(library.variables)
+    variables = library[sorted(names)].reset_coords().compute()
+    variables = variables.assign(dict.fromkeys(angles - names, np.nan))
     for number in range(library.sizes[SIGNATURE]):
         paint = variables.isel({SIGNATURE: number})
-        zenith = _angle_of(paint, "sun_zenith") if sun_zenith is None else sun_zenith
+        zenith = paint["sun_zenith"].item() if sun_zenith is None else sun_zenith
         if "diffuse_fraction" in paint and not np.isfinite(paint["diffuse_fraction"]).any():
             paint = paint.drop_vars("diffuse_fraction")
         yield paint, split_of(paint, diffuse, zenith if np.isfinite(zenith) else None, sky)
 
 
-def _angle_of(paint: xr.Dataset, name: str) -> float:
-    # Angle of a paint [degree]; NaN where it is unknown
-    return float(paint[name].item()) if name in paint.variables else float("nan")
-
-
 def _view_of(paint: xr.Dataset) -> tuple[float, float]:
     # Zenith angle of the camera, and its azimuth relative to the sun [degree]; NaN where unknown
-    return _angle_of(paint, "view_zenith"), _angle_of(paint, "relative_azimuth")
+    return float(paint["view_zenith"]), float(paint["relative_azimuth"])
 
 
-def _lean_of(paint: xr.Dataset, default: float) -> float:
-    # Standard deviation of a paint's lean [degree]
-    lean = _angle_of(paint, "lean")
-    return lean if np.isfinite(lean) else default
+def _known(angle: xr.DataArray, default: float) -> float:
+    return float(angle) if np.isfinite(angle) else default
 
 
 def _by_paint(arrays: Iterable[xr.DataArray]) -> xr.DataArray:
