@@ -39,6 +39,7 @@ from hyperpaint.base import (
     Bools,
     Floats,
     Floats32,
+    Ints,
     PaintError,
     Problems,
     Progress,
@@ -1116,6 +1117,7 @@ class _Run(NamedTuple):
 class _Tracks(NamedTuple):
     # Coordinates of the pixels of a car and its windows (line, column); a track is a row of pixels across it
     along: Floats  #: Distance from its end along its axis [pixel].
+    number: Ints  #: Track, from 0 at that end; pixels beyond an end count to its track.
     across: Floats  #: Distance from its axis [half widths].
     glass: Bools  #: Pixels as dark as windows.
     level: Floats  #: Mean reflectance [1].
@@ -1149,21 +1151,19 @@ def _aside(car: Footprint) -> Floats:
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -> Roof | NoRoof:
-    y, x = np.indices(car.area.shape, np.float64)
-    y, x = y - car.centre[0], x - car.centre[1]
-    across = (y * car.axis[1] - x * car.axis[0]) / (0.5 * car.width)
-    tracks = _Tracks(y * car.axis[0] + x * car.axis[1] + 0.5 * car.length, across, glass, level)
+    count = round(car.length)
+    ahead, across = _to_car(car.centre, car.axis, *np.indices(car.area.shape))
+    from_end, across = ahead + 0.5 * car.length, across / (0.5 * car.width)
+    track = np.floor(from_end).astype(np.int64).clip(0, count - 1)
+    tracks = _Tracks(from_end, track, across, glass, level)
     # Tracks with side windows (track,), on the side with more of them.
     # Beyond a window there is a lit door; beyond dark pixels of the car's shadow nothing is lit.
-    count = round(car.length)
-    track = np.floor(tracks.along).astype(np.int64).clip(0, count - 1)
     side_windows = []
-    for sign in (-1, 1):
-        aside = sign * tracks.across
-        lit = car.area & ~tracks.glass & (aside > ROOFS.middle)
+    for aside in (-across, across):
+        lit = car.area & ~glass & (aside > ROOFS.middle)
         outermost = np.zeros(count)
         np.maximum.at(outermost, track[lit], aside[lit])
-        window = tracks.glass & (aside > ROOFS.middle) & (aside < outermost[track])
+        window = glass & (aside > ROOFS.middle) & (aside < outermost[track])
         side_windows.append(np.bincount(track[window], minlength=count) >= ROOFS.min_window_px)
     beside = max(side_windows, key=lambda windows: int(windows.sum()))
     runs = _runs(car, tracks)
@@ -1393,8 +1393,7 @@ def _window_edge(tracks: _Tracks, sign: int, run: _Run) -> float:
     # Median over the tracks of a section; NaN without side windows.
     beside = tracks.within(run) & tracks.glass & (sign * tracks.across > ROOFS.side)
     nearest = np.full(run.length, np.inf)
-    track = (np.floor(tracks.along[beside]).astype(np.int64) - run.start).clip(0, run.length - 1)
-    np.minimum.at(nearest, track, sign * tracks.across[beside])
+    np.minimum.at(nearest, tracks.number[beside] - run.start, sign * tracks.across[beside])
     edges = nearest[np.isfinite(nearest)]
     return float(np.median(edges)) if edges.size >= ROOFS.min_seen * nearest.size else np.nan
 
@@ -1403,8 +1402,7 @@ def _runs(car: Footprint, tracks: _Tracks) -> list[_Run]:
     # Sections of paint and of windows from one end of the car to the other.
     # Short strips of paint between windows, as before a sunroof, are merged with the windows.
     middle = car.area & (np.abs(tracks.across) < ROOFS.middle)
-    count = round(car.length)
-    track = np.floor(tracks.along[middle]).astype(np.int64).clip(0, count - 1)
+    count, track = round(car.length), tracks.number[middle]
     counts = np.bincount(track, minlength=count)
     crossed = np.bincount(track, tracks.glass[middle], count) / np.maximum(counts, 1) > ROOFS.min_crossed
     ends = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=2, append=2))
@@ -1601,7 +1599,7 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     )
 
 
-def _to_car(centre: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
+def _to_car(centre: tuple[float, float] | Floats, axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
     # Distances from the centre of a car, along and across it [pixel]
     y, x = np.asarray(y - centre[0], np.float64), np.asarray(x - centre[1], np.float64)
     return y * axis[0] + x * axis[1], y * axis[1] - x * axis[0]
@@ -1970,21 +1968,14 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     # lie in the lobe of flakes, or in glint.
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > limits["erode"])
-    lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-    if not lines.size:
-        piece = None
-    else:
-        piece = Piece(
-            0,
-            (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1]),
-            inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1],
-        )
-        segment = picture.model.segment[piece.window][piece.inside]
-        body = picture.model.body[segment[segment >= 0]]
-        piece = piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
-    if piece is None:
+    segment = picture.model.segment[footprint.window][inside]
+    bodies = picture.model.body[segment[segment >= 0]]
+    if not bodies.size:
         return None
-    y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
+    window = find_objects(inside.view(np.int8))[0]
+    y, x = (side.start for side in window)
+    origin = footprint.origin[0] + y, footprint.origin[1] + x
+    piece = Piece(int(np.bincount(bodies).argmax()), origin, inside[window])
     brightness = footprint.brightness[window_of((y, x), piece.inside)].astype(np.float64)
     prior = lean_to_sun(roof.axis, picture.shadow_side)
     if not roof.is_whole:
