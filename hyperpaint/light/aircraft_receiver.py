@@ -24,7 +24,7 @@ from hyperpaint.base import (
     label,
     require,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
 
 from .clear_sky import sunward_gain
@@ -274,18 +274,18 @@ def level_irradiance(
         mend="pass navigation that covers the record",
         code="attitude-missing",
     )
-    if not usable.all():
-        warn_user(
-            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
-            "attitude-missing",
-        )
+    warn_if(
+        not usable.all(),
+        f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
+        "attitude-missing",
+    )
     is_low = sensor.zenith > LEVELLING.max_zenith_deg
-    if is_low[usable].any():
-        warn_user(
-            "the light sensor's attitude is not corrected with the sun beyond "
-            f"{LEVELLING.max_zenith_deg:g} degrees",
-            "sun-low",
-        )
+    warn_if(
+        is_low[usable].any(),
+        "the light sensor's attitude is not corrected with the sun beyond "
+        f"{LEVELLING.max_zenith_deg:g} degrees",
+        "sun-low",
+    )
     spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
     correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
@@ -337,11 +337,11 @@ def _factor(
             )
             by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
-    if (state == _CONTRADICTORY).mean() > 0.5:
-        warn_user(
-            "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
-            "sky-unknown",
-        )
+    warn_if(
+        (state == _CONTRADICTORY).mean() > 0.5,
+        "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+        "sky-unknown",
+    )
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 
