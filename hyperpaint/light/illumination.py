@@ -565,7 +565,9 @@ def match_irradiance(
         "srf_offset": srf_offset,
         "srf": srf,
     }
-    matching = matching_operator(*_responses(channels, irradiance_fwhm, irradiance_srf_shape, imager), nodes)
+    shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
+    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
+    matching = matching_operator(*responses, tuple(shifts.tolist()))
     _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
@@ -581,7 +583,6 @@ def match_irradiance(
     quality = {
         name: (("node", "band"), getattr(matching, name)) for name in ("misfit", "noise_gain", "coverage")
     }
-    shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
     matched = matched.assign_coords(
         node=("node", shifts, {"units": "nm", "long_name": "Wavelength shift"}),
         wavelength=("band", centres, VARIABLES["wavelength"].attrs),
@@ -686,16 +687,15 @@ def matched_series(
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
     spectrometer, bands = _responses(channels[order], width, irradiance_shape, imager)
-    matching = matching_operator(spectrometer, bands, nodes)
+    shifts = tuple(np.asarray(nodes, np.float64).tolist())
+    matching = matching_operator(spectrometer, bands, shifts)
     _warn_of_bands(matching, channels[order], imager)
     misfit = matching.misfit
     if departure is not None:
         measured = Responses(
             channels[order] - departure.shift_at(channels[order]), width * departure.width, irradiance_shape
         )
-        misfit = misfit_through(
-            spectrometer, measured, bands, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-        )
+        misfit = misfit_through(spectrometer, measured, bands, shifts)
     return _apply(matching, np.asarray(spectra), order), misfit
 
 

@@ -204,10 +204,13 @@ class Matching:
         return np.flatnonzero((np.nan_to_num(self.weights) != 0.0).any(axis=(0, 1)))
 
 
+@functools.lru_cache(maxsize=8)
 def matching_operator(
-    spectrometer: Responses, imager: Responses, nodes: ArrayLike = (0.0,), *, ridge: float = RIDGE
+    spectrometer: Responses, imager: Responses, nodes: tuple[float, ...] = (0.0,)
 ) -> Matching:
     r"""Return the weights that combine a spectrometer's channels into an imager's bands.
+
+    Cached: all flight lines of a camera share an operator.
 
     Parameters
     ----------
@@ -217,8 +220,6 @@ def matching_operator(
         Responses of the imager's bands at its centre column.
     nodes
         Wavelength shifts [nm] of the operators, for the imager's smile.
-    ridge
-        Strength of the regularisation.
 
     Raises
     ------
@@ -234,18 +235,9 @@ def matching_operator(
               \qquad \sum_j w_j = 1 .
 
     A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range, or where
-    channels are missing over more than two widths inside it: nothing is extrapolated.
+    channels are missing over more than two widths inside it: nothing is extrapolated. The ridge
+    :math:`\epsilon` is `RIDGE`.
     """
-    return _cached_operator(
-        spectrometer, imager, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist()), ridge
-    )
-
-
-@functools.lru_cache(maxsize=8)
-def _cached_operator(
-    spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
-) -> Matching:
-    # cached: all flight lines of a camera share an operator
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
@@ -289,7 +281,7 @@ def _cached_operator(
         # ridge weights (node, channel) that combine channels into responses, each row of sum 1;
         # einsum: with busy cores, BLAS threads make products this small ten times slower
         gram = np.einsum("ig,jg->ij", channels, channels)
-        gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
+        gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / len(gram)
         products = np.einsum("ig,ng->in", channels, responses[covered])
         solved = np.linalg.solve(gram, np.column_stack([products, np.ones(len(gram))])).T
         rows, correction = solved[:-1], solved[-1]

@@ -43,7 +43,7 @@ def test_sharper_than_the_spectrometer_gains_noise_and_equal_widths_are_nearly_t
 
 def test_nodes_and_slope_of_the_responsivity_move_the_centre_of_gravity() -> None:
     ramp = SAMPLES - 550.0
-    made = matching_operator(Responses(SAMPLES, 3.0), Responses([550.0], [6.0]), [-1.5, 0.0, 2.0])
+    made = matching_operator(Responses(SAMPLES, 3.0), Responses([550.0], [6.0]), (-1.5, 0.0, 2.0))
     np.testing.assert_allclose(made.weights[:, 0] @ ramp, [-1.5, 0.0, 2.0], atol=1e-4)
     moved = weights_of(Responses([550.0], [6.0], slope=np.array([0.01])))[0, 0] @ ramp
     assert moved == pytest.approx(0.01 * (6.0 * SIGMA) ** 2, rel=0.01)
@@ -61,7 +61,7 @@ def test_rows_sum_to_one_and_grey_light_passes(
     spectrometer: float, imager: float, centre: float, shape: str, slope: float, node: float
 ) -> None:
     bands = Responses([centre, centre + 4], [imager] * 2, shape, slope=np.full(2, slope))
-    made = matching_operator(Responses(SAMPLES, spectrometer), bands, [node])
+    made = matching_operator(Responses(SAMPLES, spectrometer), bands, (node,))
     np.testing.assert_allclose(made.weights.sum(axis=-1), 1.0, atol=1e-9)
     assert np.isfinite(made.misfit).all()
     np.testing.assert_allclose(made.noise_gain, np.sqrt((made.weights**2).sum(axis=-1)))
