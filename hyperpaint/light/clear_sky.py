@@ -577,13 +577,10 @@ def facing_gain(wavelength: ArrayLike, sun_zenith: float, angle: float, from_sun
     [1.3 1.9] [1.]
     """
     sky, slope = dome(), np.radians(angle)
-    sides = []
-    for azimuth in (sky.azimuth, -sky.azimuth):
-        facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - sky.cosine**2) / sky.cosine * np.cos(
-            azimuth - np.radians(from_sun)
-        )
-        sides.append(sky.level * np.maximum(facing, 0.0))
-    weight = sides[0] + sides[1]
+    # both sides of the sky, (side, zenith, azimuth)
+    azimuth = np.stack([sky.azimuth, -sky.azimuth]) - np.radians(from_sun)
+    facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - sky.cosine**2) / sky.cosine * np.cos(azimuth)
+    weight = (sky.level * np.maximum(facing, 0.0)).sum(axis=0)
     # a departure from 1, so that a level surface gives 1 to the last bit
     departure = np.tensordot(dome_radiance(float(sun_zenith)) - 1.0, weight / weight.sum())
     return 1.0 + (between_nodes(departure, wavelength) if angle else np.zeros(np.shape(wavelength)))

@@ -180,13 +180,11 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
     logs = np.log(np.maximum(levels, 1e-30))
     empty = np.full(levels.shape[1], np.inf)
     offset = round(within * 1e9)
-    logs_at = []
-    for moments in (stamps - offset, stamps, stamps + offset):
-        after = np.clip(np.searchsorted(ticks, moments, side="right"), 1, ticks.size - 1)
-        weight = np.clip((moments - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
-        level = levels[after - 1] + weight * (levels[after] - levels[after - 1])
-        logs_at.append(np.log(np.maximum(level, 1e-30)))
-    at_early, at_stamp, at_late = logs_at
+    moments = np.stack([stamps - offset, stamps, stamps + offset])
+    after = np.clip(np.searchsorted(ticks, moments, side="right"), 1, ticks.size - 1)
+    weight = np.clip((moments - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[..., None]
+    level = levels[after - 1] + weight * (levels[after] - levels[after - 1])
+    at_early, at_stamp, at_late = np.log(np.maximum(level, 1e-30))
     # inside a window, extremes are at samples; many lines share a window
     first, last = (
         np.searchsorted(ticks, stamps - offset),
