@@ -143,7 +143,7 @@ class Sky:
         # direct and diffuse irradiance of a level surface [W m-2 nm-1]
         table, data = _sunlight(), _data()
         # the tails of wide responses reach beyond the table, whose ends stand for what lies there
-        wavelength = wavelength.clip(*table.wavelength[[0, -1]])
+        wavelength = wavelength.clip(*table["wavelength_nm"][[0, -1]])
         mass, cosine = relative_air_mass(self.sun_zenith), np.cos(np.radians(self.sun_zenith))
         # scattering, smooth in wavelength; outside 330 to 1150 nm the quotients of the tables are held
         nm = np.concatenate([np.arange(300.0, 1200.0, 5.0), np.arange(1200.0, 2501.0, 50.0)])
@@ -170,7 +170,7 @@ class Sky:
     def _gas_depths(self, mass: float) -> tuple[tuple[Floats, Floats, Floats], ...]:
         # slant depths of smooth gases, oxygen and water in the cells of the table of sunlight, of both lights
         table, data = _sunlight(), _data()
-        cells = table.wavelength
+        cells = table["wavelength_nm"]
         logs = [np.log(data[name]) for name in ("mass", "water")]
         inside = (cells >= data["line"][0]) & (cells <= data["line"][-1])
         in_cells = {
@@ -187,7 +187,7 @@ class Sky:
                 depth += min(0.0, log_water - logs[1][0])
             at_mass = np.log(mass.clip(1.0, data["mass"][-1]))
             rows = [np.interp(at, logs[0], row) for at, row in zip(at_mass, depth, strict=True)]
-            beyond = table.water * self.water if name == "water_depth" else table.mixed
+            beyond = table["water"] * self.water if name == "water_depth" else table["mixed"]
             return np.where(inside, np.exp(rows) * np.minimum(mass, 1.0), beyond * mass)
 
         particles = self.aerosol * (cells / 500.0) ** -_ANGSTROM
@@ -207,7 +207,7 @@ class Sky:
                 RegularGridInterpolator(axes, data["diffuse_air_mass"][gas])(np.stack(held, axis=-1))
             )
 
-        ozone = np.where(inside, in_cells["ozone"], table.ozone) * self.ozone
+        ozone = np.where(inside, in_cells["ozone"], table["ozone"]) * self.ozone
         ones, none = np.ones(cells.shape), np.zeros(cells.shape)
         height = 22.0 / 6370.0
         ozone_path = (1.0 + height) / np.sqrt(np.cos(np.radians(self.sun_zenith)) ** 2 + 2.0 * height)
@@ -237,20 +237,12 @@ def _data() -> dict[str, Floats]:
         return {name: arrays[name].astype(np.float64) for name in arrays.files}
 
 
-class _Sunlight(NamedTuple):
-    # The columns of ``sunlight_1nm.csv``, see `hyperpaint.light.clear_sky.SunlightTable`
-    wavelength: Floats
-    extraterrestrial: Floats
-    ozone: Floats
-    mixed: Floats
-    water: Floats
-
-
 @functools.cache
-def _sunlight() -> _Sunlight:
+def _sunlight() -> dict[str, Floats]:
+    # the columns of the table by their names, see `hyperpaint.light.clear_sky.SunlightTable`
     with resources.files("hyperpaint.light").joinpath("sunlight_1nm.csv").open(encoding="utf-8") as file:
-        rows = [line for line in file if line[0].isdigit()]
-    return _Sunlight(*np.loadtxt(rows, delimiter=",", unpack=True))
+        header, *rows = (line for line in file if not line.startswith("#"))
+    return dict(zip(header.rstrip().split(","), np.loadtxt(rows, delimiter=",", unpack=True), strict=True))
 
 
 @functools.cache
@@ -268,7 +260,7 @@ def solar_irradiance(wavelength: Floats) -> Floats:
     # Sun's irradiance above the atmosphere, with its lines [W m-2 nm-1].
     table, fine = _sunlight(), _fine_structure()
     lines = np.interp(wavelength, fine.wavelength, fine.lines)
-    return np.asarray(np.interp(wavelength, table.wavelength, table.extraterrestrial) * lines)
+    return np.asarray(np.interp(wavelength, table["wavelength_nm"], table["extraterrestrial"]) * lines)
 
 
 # Spectral structure below 1 nm.
@@ -330,17 +322,17 @@ def _resolved(wavelength: Floats, smooth: Floats, oxygen: Floats, water: Floats)
     # of a cell of 1 nm is that of its depth; outside their range the table stands for them.
     table, fine = _sunlight(), _fine_structure()
     centres = np.arange(_LINED[0], _LINED[1] + 1.0)
-    total = np.interp(wavelength, table.wavelength, smooth)
+    total = np.interp(wavelength, table["wavelength_nm"], smooth)
     is_lined = (wavelength >= fine.wavelength[0]) & (wavelength <= fine.wavelength[-1])
     for shape, depth in ((fine.oxygen, oxygen), (fine.water, water)):
-        cells = np.interp(centres, table.wavelength, depth)
+        cells = np.interp(centres, table["wavelength_nm"], depth)
         low, high = cells.copy(), np.full(cells.shape, 1e9)  # the mean depth is at least that of the mean
         for _ in range(80):
             middle = np.where(high < 1e8, 0.5 * (low + high), 4.0 * low)
             is_shallow = np.exp(-middle[:, None] * shape).mean(axis=1) > np.exp(-cells)
             low, high = np.where(is_shallow, middle, low), np.where(is_shallow, high, middle)
         lines = np.interp(wavelength, fine.wavelength, (low[:, None] * shape).ravel())
-        total += np.where(is_lined, lines, np.interp(wavelength, table.wavelength, depth))
+        total += np.where(is_lined, lines, np.interp(wavelength, table["wavelength_nm"], depth))
     return total
 
 
