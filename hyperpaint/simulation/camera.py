@@ -423,19 +423,9 @@ _IMAGER = SimpleNamespace(
 )
 
 
-def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float = 2.5) -> float:
-    """Return the etendue of one element [m2 sr]: slit width x pixel pitch x pi / (4 N^2).
-
-    Examples
-    --------
-    >>> f"{filled_etendue():.4e}"
-    '1.8598e-11'
-    """
-    return slit * pitch * np.pi / (4.0 * f_number**2)
-
-
-#: Etendue of the simulated imager [m2 sr].
-ETENDUE = filled_etendue()
+#: Etendue of an element of the simulated imager, slit width x pixel pitch x pi / (4 N^2), with an f-number N
+#: of 2.5 [m2 sr].
+ETENDUE = 20e-6 * 7.4e-6 * np.pi / (4.0 * 2.5**2)
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
