@@ -302,14 +302,12 @@ class Sweep:
                 self._to_columns, lower[:, None] + np.arange(-1, 3), cubic_weights(place - lower), axis=1
             )
 
-    def _rng(self, stream: int, *key: int) -> np.random.Generator:
-        return np.random.default_rng([self.settings.camera.seed, stream, *key])
-
     @cached_property
     def wavelength(self) -> Floats:
         # true centre wavelength of every step, shape (step,) [nm]
         settings = self.settings
-        jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
+        rng = np.random.default_rng([settings.camera.seed, _DIAL])
+        jitter = settings.monochromator_jitter_nm * rng.standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
 
     @cached_property
@@ -334,7 +332,8 @@ class Sweep:
     def recorded_flux(self) -> Floats:
         # reading of the power meter, shape (step,) or (step, cross_track) [W]
         settings = self.settings
-        error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
+        rng = np.random.default_rng([settings.camera.seed, _POWER_METER])
+        error = settings.flux_noise * rng.standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
         return (
             np.asarray(reading)
@@ -392,14 +391,16 @@ class Sweep:
     def frames(self, step: int) -> Frames:
         settings = self.settings
         dark = self.camera.detector(float(settings.exposure_time[step])).dark + self.camera.pedestal
-        rng = self._rng(_LINE_NOISE, step) if settings.camera.noise else None
+        seed = [settings.camera.seed, _LINE_NOISE, step]
+        rng = np.random.default_rng(seed) if settings.camera.noise else None
         return self._average(self.signal(step), dark, settings.frames, rng)
 
     def dark(self, step: int) -> Frames:
         # dark frames of a step; a dark for all steps is that of step 0
         settings = self.settings.camera
         level = self.camera.detector(float(self.settings.dark_exposure_time[step])).dark
-        rng = self._rng(_DARK_NOISE, step) if settings.noise and settings.dark_noise else None
+        is_noisy = settings.noise and settings.dark_noise
+        rng = np.random.default_rng([settings.seed, _DARK_NOISE, step]) if is_noisy else None
         return self._average(np.zeros_like(level), level, settings.dark_frames, rng)
 
     def _average(self, signal: Floats, dark: Floats, frames: int, rng: np.random.Generator | None) -> Frames:
