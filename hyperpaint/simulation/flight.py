@@ -722,7 +722,7 @@ class RenderedFlight(Flight):
             mend="take fewer lines, more columns, or scene='plan'",
             code="flight-too-long",
         )
-        park = car_park(
+        scene = car_park(
             length=float(length),
             width=SWATH_M,
             seed=settings.seed,
@@ -734,8 +734,7 @@ class RenderedFlight(Flight):
             flakes=settings.fleet == "real",
             margin=float(_RENDERED.ground_margin_m + 2 * before),
             name="simulated car park",
-        )
-        scene = park.moved((0.0, -float(start), 0.0))
+        ).moved((0.0, -float(start), 0.0))
         record = SceneRecord.of(scene)
         overcast = settings.sky == "overcast"
         trace = TraceSettings(
@@ -774,15 +773,14 @@ class RenderedFlight(Flight):
             if item.kind == "car":
                 north = float(middle[scene.face_instance == number].mean())
                 seen[item.paint] = min((not 0.0 <= north < end, north), seen.get(item.paint, (True, np.inf)))
-        names: dict[str, str] = {}
+        self._names: dict[str, str] = {}
         counts: Counter[str] = Counter()
         for paint in sorted(seen, key=seen.__getitem__):
             words = f"{paint_spec(paint).colour} {paint_spec(paint).finish}"
             counts[words] += 1
             numbered = f"{words} {counts[words]}" if counts[words] > 1 else words
-            names[paint] = numbered if self.settings.fleet == "real" else paint
+            self._names[paint] = numbered if self.settings.fleet == "real" else paint
         self._seen = tuple(name for name, (_, y) in seen.items() if -self._ahead <= y <= end + self._ahead)
-        self._names = names
         layers["paint_id"][2]["flag_meanings"] = " ".join(
             self.name_of(name).replace(" ", "_") for name in layers["paint_id"][2]["flag_meanings"].split()
         )
