@@ -677,7 +677,8 @@ def test_who_asks_first_changes_no_bit() -> None:
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(ask, range(64)))
-    assert np.unique(shared._cached_codes).size == shared._cached_codes.size == len(shared._products)
+    cached, products = shared._cache
+    assert np.unique(cached).size == cached.size == len(products)
 
 
 def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -692,7 +693,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
         np.testing.assert_array_equal(small.rows(codes[start : start + 30]), rows[:, start : start + 30])
-    assert 0 < small._products.nbytes <= 100 * 272 * 4
+    assert 0 < small._cache[1].nbytes <= 100 * 272 * 4
 
 
 def test_codes_of_another_scene_are_refused() -> None:

@@ -20,7 +20,6 @@ are disjoint parts of them.
 """
 
 import pickle
-import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -1521,8 +1520,9 @@ class ProductTable:
     R d lambda [W m-2 sr-1 count J-1] for a detector; the caller multiplies the sum over paths by the element
     factors (`Imager.element_factor`) to get the input of `simulation.camera.expected_counts`.
 
-    Threads share a table. It can be sent to other processes, where it starts empty. Products do not depend on
-    earlier or simultaneous requests.
+    Threads share a table; of products that several add at the same time, those of one may be lost. It can be
+    sent to other processes, where it starts empty. Products do not depend on earlier or simultaneous
+    requests.
 
     Parameters
     ----------
@@ -1576,21 +1576,13 @@ class ProductTable:
         self._weights = responses.weights(spectra) / np.pi
         self._first_band = responses.first_band
         self._factors = np.ascontiguousarray(factors(responses.grid), np.float64)
-        self._start_empty()
-
-    def _start_empty(self) -> None:
-        nodes, bands = self.bands.nodes.size, self.bands.wavelength.size
-        self._cached_codes: Ints = np.empty(0, np.int64)
-        self._products = np.empty((0, nodes, bands), np.float32)
-        self._lock = threading.Lock()
+        # codes, ascending, and their products (path, node, band); replaced as a whole, never changed
+        no_products = np.empty((0, bands.nodes.size, bands.wavelength.size), np.float32)
+        self._cache: tuple[Ints, Floats32] = np.empty(0, np.int64), no_products
 
     def __getstate__(self) -> dict[str, Any]:
-        excluded = {"_cached_codes", "_products", "_lock"}
-        return {name: value for name, value in self.__dict__.items() if name not in excluded}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._start_empty()
+        codes, products = self._cache
+        return {**self.__dict__, "_cache": (codes[:0], products[:0])}
 
     def rows(self, codes: Ints) -> Floats32:
         # Return the products of paths, shape (node, path, band), float32.
@@ -1599,8 +1591,7 @@ class ProductTable:
         #
         # Raises `SchemaError`: A code names a factor that the scene does not have.
         codes = np.ascontiguousarray(codes, np.int64)
-        with self._lock:
-            cached_codes, products = self._cached_codes, self._products
+        cached_codes, products = self._cache
         rows = _lookup(cached_codes, codes)
         is_new = rows < 0
         if not is_new.any():
@@ -1620,13 +1611,12 @@ class ProductTable:
         new_products = computed.swapaxes(0, 1)
         gathered = np.empty((codes.size, *new_products.shape[1:]), np.float32)
         gathered[~is_new], gathered[is_new] = products[rows[~is_new]], new_products
-        with self._lock:
-            if self._products.nbytes + new_products.nbytes <= _MAX_CACHE_BYTES:
-                added = _lookup(self._cached_codes, new_codes) < 0  # another thread may have added some
-                all_codes = np.concatenate([self._cached_codes, new_codes[added]])
-                order = np.argsort(all_codes)
-                self._cached_codes = all_codes[order]
-                self._products = np.concatenate([self._products, new_products[added]])[order]
+        cached_codes, products = self._cache
+        if products.nbytes + new_products.nbytes <= _MAX_CACHE_BYTES:
+            added = _lookup(cached_codes, new_codes) < 0  # another thread may have added some
+            all_codes = np.concatenate([cached_codes, new_codes[added]])
+            order = np.argsort(all_codes)
+            self._cache = all_codes[order], np.concatenate([products, new_products[added]])[order]
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
