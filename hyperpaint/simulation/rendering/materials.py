@@ -324,13 +324,13 @@ def measured_factor(
         mend="fill the gaps",
         code="not-finite",
     )
-    if measured.size and measured.max() > 2.0:
-        raise SchemaError(
-            f"a measured reflectance reaches {measured.max():.4g}",
-            expected="a fraction",
-            mend="divide per cent by 100",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        (largest := measured.max(initial=0.0)) > 2.0,
+        f"a measured reflectance reaches {largest:.4g}",
+        expected="a fraction",
+        mend="divide per cent by 100",
+        code="value-out-of-range",
+    )
     if specular_included:
         SchemaError.raise_if(
             geometry == "0/45",
@@ -711,13 +711,13 @@ def flakes_of_flop(
     >>> round(flop_index(replace(paint, flakes=lobe), [400.0, 700.0], 0.3, 0.85), 1)
     10.0
     """
-    if material.flakes is None:
-        raise SchemaError(
-            f"material {material.name!r} has no flakes",
-            mend="pass flakes=Flakes(share)",
-            code="flakes-missing",
-        )
-    old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
+    old_flakes = SchemaError.raise_if_none(
+        material.flakes,
+        f"material {material.name!r} has no flakes",
+        mend="pass flakes=Flakes(share)",
+        code="flakes-missing",
+    )
+    index = 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
     most = min(float(flops[peak]), _GLOSS_AND_FLOP.max_flop_index)

@@ -63,7 +63,7 @@ from hyperpaint.base import (
     require,
     shows_flakes,
     takes_quantities,
-    warn_user,
+    warn_if,
     with_new_names,
 )
 from hyperpaint.base.many_outputs import split_outputs
@@ -459,8 +459,7 @@ def by_name(spectra: Any) -> dict[str, Any]:
     if spectra is None:
         return {}
     if is_library(spectra) or not isinstance(spectra, Mapping):
-        library: Any = spectra
-        return dict(_paints_by_name(library))
+        return dict(_paints_by_name(spectra))
     by_key: dict[str, Any] = {}
     for name, value in spectra.items():
         if not is_library(value):
@@ -559,29 +558,25 @@ class SpectrumReader:
         return spectrum
 
     def warn(self) -> None:
-        for code, names, found in (
-            (
-                "reflectance-clipped",
-                self._clipped,
-                f"reflectances of {{}} exceed 0 to 1 by noise, up to {_NOISE:g}; they are clipped for the "
-                "render",
-            ),
-            (
-                "edge-bands-held",
-                list(self._held),
-                "{} have no values at the ends of the bands and are held constant there, over up to "
-                f"{max(self._held.values(), default=0.0):.1f} nm; pass hold_edges=True to accept this "
-                "(--hold-edges), or False to refuse it",
-            ),
-            (
-                "mirror-counted-twice",
-                self._mirroring,
-                "{} contain the mirror reflection of the coat, which the renderer adds again; extract "
-                "signatures with specular_sky=True (--specular-sky)",
-            ),
-        ):
-            if names:
-                warn_user(found.format(some_names(names)), code)
+        warn_if(
+            self._clipped,
+            f"reflectances of {some_names(self._clipped)} exceed 0 to 1 by noise, up to {_NOISE:g}; they are "
+            "clipped for the render",
+            "reflectance-clipped",
+        )
+        warn_if(
+            self._held,
+            f"{some_names(self._held)} have no values at the ends of the bands and are held constant there, "
+            f"over up to {max(self._held.values(), default=0.0):.1f} nm; pass hold_edges=True to accept this "
+            "(--hold-edges), or False to refuse it",
+            "edge-bands-held",
+        )
+        warn_if(
+            self._mirroring,
+            f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the renderer "
+            "adds again; extract signatures with specular_sky=True (--specular-sky)",
+            "mirror-counted-twice",
+        )
 
     def _cropped(self, table: Table, name: str) -> Table | None:
         # usable part of a table in the range of the bands, since gaps elsewhere do not matter
@@ -833,11 +828,9 @@ def factor_spectra(
     problems.raise_if_any()
     reader.warn()
     spectra_by_name = {name: spectrum for name, spectrum in spectra_or_none.items() if spectrum is not None}
-    coats = []
-    for factor in record.factors:
-        coat = record.materials[factor.material].coat
-        coats.append(None if coat is None or factor.flakes else coat.index)
-    return FactorSpectra(tuple(assigned), tuple(coats), spectra_by_name, tuple(scales), clip)
+    pairs = [(factor, record.materials[factor.material].coat) for factor in record.factors]
+    coats = tuple(None if coat is None or factor.flakes else coat.index for factor, coat in pairs)
+    return FactorSpectra(tuple(assigned), coats, spectra_by_name, tuple(scales), clip)
 
 
 def assigned_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:

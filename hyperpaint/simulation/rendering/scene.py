@@ -28,7 +28,7 @@ from hyperpaint.base import (
     declared,
     fact,
     one_of,
-    warn_user,
+    warn_if,
 )
 from hyperpaint.light.sky_functions import FUNCTIONS
 from hyperpaint.simulation.settings import MAX_SEED, MOST_SAMPLES
@@ -453,12 +453,12 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
-    if not with_area.all():
-        dropped = int((~with_area).sum())
-        warn_user(
-            f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
-            "triangle-without-area",
-        )
+    dropped = int((~with_area).sum())
+    warn_if(
+        dropped,
+        f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
+        "triangle-without-area",
+    )
 
 
 @dataclass(frozen=True, eq=False)
