@@ -1294,7 +1294,7 @@ def _lazy_cubes(
     count = bands.wavelength.size
     if not truth:
         return {"radiance": cube(Lighting.radiance, "lbx", *textured, distance, "lx", b=count)}
-    surface = cube(Lighting.surface_radiance, "lbx", *textured, b=count)
+    surface = cube(Lighting.radiance, "lbx", *textured, b=count)
     shares = cube(Lighting.shares, "lcx", *lit, c=len(SHARES))
     return {
         "radiance": cube(Lighting.at_sensor, "lbx", surface, "lbx", distance, "lx"),
@@ -1405,38 +1405,28 @@ class Lighting:
     extinction: Floats32
     path_radiance: Floats32
 
-    def surface_radiance(
+    def radiance(
         self,
         weight: Floats32,
         code: Array,
         variation: Floats | None,
         rows: Array | None = None,
         populations: Populations | None = None,
+        distance: Floats32 | None = None,
     ) -> Floats32:
-        # radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1]
+        # radiance towards the camera, (line, band, column) [W m-2 sr-1 nm-1]: at the surface, or after a
+        # distance of air
         # weight, code : (line, slot, column): paths as traced
         # variation : (2, line) or (2, line, column): factors of direct and diffuse light; None for factors of
         # 1
         # rows : (line, column): members of ``populations`` shown by pixels
         # populations: None for the means
+        # distance: (line, column) [m]
         lines, _, columns = weight.shape
         radiance = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
         texture = None if populations is None or rows is None else populations.of_rows(rows)
         self.table.mix(_varied(weight, code, variation), code, radiance, texture)
-        return radiance
-
-    def radiance(
-        self,
-        weight: Floats32,
-        code: Array,
-        variation: Floats | None,
-        rows: Array | None,
-        populations: Populations | None,
-        distance: Floats32,
-    ) -> Floats32:
-        return self.at_sensor(
-            self.surface_radiance(weight, code, variation, rows, populations), distance, in_place=True
-        )
+        return radiance if distance is None else self.at_sensor(radiance, distance, in_place=True)
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
         # L exp(-k d) + Lp d, the radiance after a distance d of air; NaN distances have no air
