@@ -55,10 +55,6 @@ class RawTriangles(NamedTuple):
     groups: tuple[tuple[str, ...], ...]
 
 
-def _require(is_right: object, found: str, *, expected: str = "", mend: str = "", code: str) -> None:
-    FormatError.raise_if(not is_right, found, expected=expected, mend=mend, code=code)
-
-
 # --- OBJ ---------------------------------------------------------------------------------------------------
 
 
@@ -84,8 +80,8 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     group = -1
     for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
         line = match[0]
-        _require(
-            len(line) <= _MAX_LINE_CHARS,
+        FormatError.raise_if(
+            len(line) > _MAX_LINE_CHARS,
             f"{where}: line {number} is too long",
             expected=f"at most {_MAX_LINE_CHARS} characters",
             code="line-too-long",
@@ -143,10 +139,12 @@ def check_ply(data: bytes, where: str) -> None:
     #
     # Raises `FormatError`: The PLY header is missing, or declares more data than the file has.
     found = f"{where}: it begins with {data[:4]!r}"
-    _require(data.startswith(b"ply"), found, expected="b'ply'", code="format-unknown")
+    FormatError.raise_if(not data.startswith(b"ply"), found, expected="b'ply'", code="format-unknown")
     head, separator, _ = data[:_MAX_HEADER_BYTES].partition(b"end_header")
-    _require(
-        separator, f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes", code="header-truncated"
+    FormatError.raise_if(
+        not separator,
+        f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes",
+        code="header-truncated",
     )
     body_bytes = len(data) - len(head) - len(separator)
     lines = head.decode("latin-1").split("\n")
@@ -159,16 +157,20 @@ def check_ply(data: bytes, where: str) -> None:
         found = f"{where}: the header has {line.strip()[:60]!r}"
         if keyword == "element":
             is_count = len(words) == 2 and re.fullmatch("[0-9]{1,18}", words[1])
-            _require(is_count, found, expected="'element NAME COUNT'", code="header-unreadable")
+            FormatError.raise_if(
+                not is_count, found, expected="'element NAME COUNT'", code="header-unreadable"
+            )
             min_bytes += count * row
             count, row = int(words[1]), 0
         elif keyword == "property":
             types = words[1:3] if words[:1] == ["list"] else words[:1]
             is_known = len(words) == len(types) + (2 if len(types) > 1 else 1) and {*types} <= {*_PLY_BYTES}
-            _require(is_known, found, expected="'property TYPE NAME' or a list", code="header-unreadable")
+            FormatError.raise_if(
+                not is_known, found, expected="'property TYPE NAME' or a list", code="header-unreadable"
+            )
             row += _PLY_BYTES[types[0]] if binary else 2  # in text a digit and a separator
-    _require(
-        min_bytes <= body_bytes + 2,
+    FormatError.raise_if(
+        min_bytes > body_bytes + 2,
         f"{where}: {body_bytes} bytes",
         expected=f"{min_bytes} or more, as its header declares",
         code="file-truncated",
@@ -196,21 +198,21 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
     entries = functools.partial(_entries, where=where)
     number = functools.partial(_whole_number, where=where)
     for name in entries(header, "extensionsRequired", str):
-        _require(
-            name.startswith("KHR_materials_") or name == "KHR_texture_transform",
+        FormatError.raise_if(
+            not (name.startswith("KHR_materials_") or name == "KHR_texture_transform"),
             f"{where}: it requires the extension {name[:60]}",
             mend="export it without compression",
             code="extension-unsupported",
         )
     buffers, materials, meshes = (entries(header, key) for key in ("buffers", "materials", "meshes"))
-    _require(
-        not any("uri" in buffer for buffer in buffers),
+    FormatError.raise_if(
+        any("uri" in buffer for buffer in buffers),
         f"{where}: its buffer is in another file",
         mend="export it as one .glb",
         code="buffer-external",
     )
-    _require(
-        len(buffers) <= 1,
+    FormatError.raise_if(
+        len(buffers) > 1,
         f"{where}: it has more than one buffer",
         expected="the buffer inside the file",
         code="buffer-number",
@@ -230,17 +232,19 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
         place = number(of, key, len(originals) - 1)
         original = originals[place]
         component = original.get("componentType")
-        _require(
-            original.get("type") == kind
-            and isinstance(component, int | float)
-            and component in _GLB_BYTES
-            and "sparse" not in original,
+        FormatError.raise_if(
+            not (
+                original.get("type") == kind
+                and isinstance(component, int | float)
+                and component in _GLB_BYTES
+                and "sparse" not in original
+            ),
             f"{where}: accessor {place} is {original.get('type')!s:.20}",
             expected=f"plain numbers of type {kind}",
             code="accessor-type",
         )
-        _require(
-            kind == "SCALAR" or component == 5126,
+        FormatError.raise_if(
+            kind != "SCALAR" and component != 5126,
             f"{where}: accessor {place} has quantised positions",
             expected="float",
             mend="export it without compression",
@@ -261,8 +265,8 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
         primitives = []
         for primitive in entries(mesh, "primitives"):
             mode, attributes = primitive.get("mode", _TRIANGLES), primitive.get("attributes")
-            _require(
-                mode == _TRIANGLES and isinstance(attributes, dict),
+            FormatError.raise_if(
+                mode != _TRIANGLES or not isinstance(attributes, dict),
                 f"{where}: mesh {place} has a primitive of mode {mode!s:.20}, attributes {attributes!s:.20}",
                 expected=f"triangles ({_TRIANGLES}) with POSITION",
                 code="primitive-type",
@@ -302,23 +306,23 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
     # content of the JSON chunk, and the binary chunk
-    _require(
-        len(data) >= 20 and data[:4] == b"glTF",
+    FormatError.raise_if(
+        len(data) < 20 or data[:4] != b"glTF",
         f"{where}: it begins with {data[:4]!r}",
         expected="a binary glTF file (b'glTF')",
         mend="export it as .glb",
         code="format-unknown",
     )
     _, version, length, size, kind = struct.unpack("<4sIIII", data[:20])
-    _require(
-        version == 2 and kind == _JSON,
+    FormatError.raise_if(
+        version != 2 or kind != _JSON,
         f"{where}: glTF version {version}",
         expected="2 with its JSON chunk first",
         mend="export it again",
         code="format-version",
     )
-    _require(
-        20 + size <= length <= len(data),
+    FormatError.raise_if(
+        not 20 + size <= length <= len(data),
         f"{where}: {len(data)} bytes",
         expected=f"{length} with {size} of JSON, as its header declares",
         code="file-truncated",
@@ -329,8 +333,8 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
         code="json-unreadable",
     ):
         header = json.loads(data[20 : 20 + size])
-    _require(
-        isinstance(header, dict),
+    FormatError.raise_if(
+        not isinstance(header, dict),
         f"{where}: its JSON chunk holds {type(header).__name__}",
         expected="an object",
         code="type-wrong",
@@ -339,8 +343,8 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
         return header, b""
     count, kind = struct.unpack("<II", data[20 + size : 28 + size])
     body = data[28 + size : 28 + size + count] if kind == _BINARY else b""
-    _require(
-        kind != _BINARY or len(body) == count,
+    FormatError.raise_if(
+        kind == _BINARY and len(body) != count,
         f"{where}: its binary chunk has {len(body)} bytes",
         expected=f"{count}, as it declares",
         code="file-truncated",
@@ -363,8 +367,8 @@ def _nodes(
             if key in original:
                 node[key] = _entries(original, key, int | float, where=where)
                 is_finite = all(map(is_number, node[key]))
-                _require(
-                    is_finite and len(node[key]) == count,
+                FormatError.raise_if(
+                    not is_finite or len(node[key]) != count,
                     f"{where}: node {place} has a {key} of {len(node[key])} numbers",
                     expected=f"{count} finite numbers",
                     code="length-mismatch" if is_finite else "not-finite",
@@ -373,8 +377,8 @@ def _nodes(
         if children := _entries(original, "children", int, where=where):
             node["children"] = children
         for child in children:
-            _require(
-                0 <= child < len(originals) and child not in child_nodes,
+            FormatError.raise_if(
+                not 0 <= child < len(originals) or child in child_nodes,
                 f"{where}: node {place} has the child {child}, which does not exist or has another parent",
                 code="node-parent",
             )
@@ -385,8 +389,8 @@ def _nodes(
     for _ in range(_MAX_NODE_DEPTH):
         reached += len(level)
         level = [child for place in level for child in nodes[place].get("children", [])]
-    _require(
-        not level and reached == len(nodes),
+    FormatError.raise_if(
+        level or reached != len(nodes),
         f"{where}: its nodes form a circle or too deep a tree",
         expected=f"at most {_MAX_NODE_DEPTH} levels",
         code="node-depth",
@@ -399,14 +403,14 @@ def _entries(of: dict[str, Any], key: str, kind: Any = dict, *, where: str) -> l
     entries = of.get(key, [])
     found = f"{where}: {key} is not a list of {getattr(kind, '__name__', 'numbers')}"
     is_right = isinstance(entries, list) and all(isinstance(entry, kind) for entry in entries)
-    _require(is_right, found, code="type-wrong")
+    FormatError.raise_if(not is_right, found, code="type-wrong")
     return list(entries)
 
 
 def _whole_number(of: dict[str, Any], key: str, most: int, default: int | None = None, *, where: str) -> int:
     number = of.get(key, default)
-    _require(
-        isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= most,
+    FormatError.raise_if(
+        not isinstance(number, int) or isinstance(number, bool) or not 0 <= number <= most,
         f"{where}: {key} is {str(number)[:40]}",
         expected=f"a whole number from 0 to {most}",
         code="value-out-of-range",
@@ -427,8 +431,8 @@ def _by_trimesh(data: bytes, where: str) -> RawTriangles:
     if where.lower().endswith(".glb"):
         kind = "glb"
         data, materials, meshes, triangles = strip_glb(data, where)
-        _require(
-            triangles <= _MAX_TRIANGLES,
+        FormatError.raise_if(
+            triangles > _MAX_TRIANGLES,
             f"{where}: {triangles} triangles",
             expected=f"at most {_MAX_TRIANGLES}",
             mend="simplify the mesh",
@@ -517,8 +521,8 @@ def read_mesh(
     # `MissingExtraError`: trimesh is not installed, for GLB and PLY.
     file, materials = Path(path), materials or {}
     suffix = file.suffix.lower()
-    _require(
-        suffix in _READERS,
+    FormatError.raise_if(
+        suffix not in _READERS,
         f"{file.name}: the suffix {suffix!r} is unknown",
         expected=f"one of {', '.join(_READERS)}",
         code="format-unknown",
@@ -531,28 +535,32 @@ def read_mesh(
             code="value-out-of-range",
         )
     data = read_limited(file, _MAX_BYTES, "a mesh")
-    _require(data.strip(), f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
+    FormatError.raise_if(
+        not data.strip(), f"{file.name}: the file is empty", expected="a mesh", code="empty-input"
+    )
     raw = _READERS[suffix](data, file.name)
-    _require(len(raw.faces), f"{file.name}: no triangles", expected="a mesh with faces", code="mesh-empty")
+    FormatError.raise_if(
+        not len(raw.faces), f"{file.name}: no triangles", expected="a mesh with faces", code="mesh-empty"
+    )
     min_index, max_index, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
-    _require(
-        min_index >= 0 and max_index < count,
+    FormatError.raise_if(
+        min_index < 0 or max_index >= count,
         f"{file.name}: a face names vertex {max_index + 1 if max_index >= count else min_index}",
         expected=f"one of {count} vertices",
         mend="export the mesh again",
         code="vertex-unknown",
     )
     bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
-    _require(
-        not len(bad),
+    FormatError.raise_if(
+        len(bad),
         f"{file.name}: {len(bad)} of {count} vertices are not finite, the first is number "
         f"{bad[0] if len(bad) else ''} counted from 0",
         mend="correct the mesh",
         code="not-finite",
     )
     max_distance = float(np.abs(raw.vertices).max(initial=0.0))
-    _require(
-        max_distance < _MAX_DISTANCE_M / unit,
+    FormatError.raise_if(
+        not max_distance < _MAX_DISTANCE_M / unit,
         f"{file.name}: a vertex is {max_distance:.3g} units of {unit:g} m from the origin",
         expected=f"at most {_MAX_DISTANCE_M:g} m",
         mend="correct the mesh, or pass unit=",
