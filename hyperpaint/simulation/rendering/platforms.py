@@ -30,6 +30,7 @@ from hyperpaint.base import (
     Fact,
     Floats,
     Ints,
+    Problem,
     Problems,
     SchemaError,
     Spelling,
@@ -93,12 +94,6 @@ def pixel_edges(columns: int, ifov: float) -> tuple[Floats, Floats]:
     return edges, np.array([-0.5, 0.5]) * ifov
 
 
-def note_faults(problems: Problems, *rows: tuple[object, str, str, str]) -> None:
-    # rows: whether there is a fault; what was found, what was expected, and the code
-    for is_fault, found, expected, code in rows:
-        problems.add_if(is_fault, found, expected=expected, code=code)
-
-
 @dataclass(frozen=True, eq=False)
 class Platform:
     """The geometry of a flight line for ray tracing.
@@ -148,53 +143,59 @@ class Platform:
             "time": (lines,),
         }
         edges, kind = self.column_edges.shape, np.asarray(self.time).dtype
-        note_faults(
-            problems,
-            (not 1 <= lines <= MAX_LINES, f"{lines} lines", f"1 to {MAX_LINES}", "value-out-of-range"),
+        problems.raise_if_any(
+            (
+                not 1 <= lines <= MAX_LINES,
+                Problem(f"{lines} lines", f"1 to {MAX_LINES}", code="value-out-of-range"),
+            ),
             *(
                 (
                     np.shape(getattr(self, name)) != shape,
-                    f"{name} has shape {np.shape(getattr(self, name))}",
-                    f"{shape}",
-                    "dims-wrong",
+                    Problem(
+                        f"{name} has shape {np.shape(getattr(self, name))}", f"{shape}", code="dims-wrong"
+                    ),
                 )
                 for name, shape in shapes.items()
             ),
             (
                 len(edges) != 1 or not 2 <= edges[0] <= MAX_COLUMNS + 1,
-                f"column_edges has shape {edges}",
-                f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
-                "dims-wrong",
+                Problem(
+                    f"column_edges has shape {edges}",
+                    f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
+                    code="dims-wrong",
+                ),
             ),
-            (kind != np.int64, f"time is {kind}", "int64 nanoseconds after the first line", "type-wrong"),
+            (
+                kind != np.int64,
+                Problem(f"time is {kind}", "int64 nanoseconds after the first line", code="type-wrong"),
+            ),
         )
-        problems.raise_if_any()
         products = self.rotation @ self.rotation.swapaxes(-1, -2)
-        note_faults(
-            problems,
+        problems.raise_if_any(
             (
                 not np.allclose(products, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any(),
-                "rotation contains matrices that are not rotations",
-                "",
-                "rotation-invalid",
+                Problem("rotation contains matrices that are not rotations", code="rotation-invalid"),
             ),
             *(
                 (
                     not (np.diff(tangents) > 0).all() or np.abs(tangents).max() > MAX_VIEW_TANGENT,
-                    f"{name} do not increase, or exceed 85 degrees",
-                    "tangents of view angles",
-                    "edges-invalid",
+                    Problem(
+                        f"{name} do not increase, or exceed 85 degrees",
+                        "tangents of view angles",
+                        code="edges-invalid",
+                    ),
                 )
                 for name, tangents in (("column_edges", self.column_edges), ("along_edges", self.along_edges))
             ),
             (
                 not 0 <= self.exposure_time < 3600,
-                f"exposure_time={self.exposure_time!r}",
-                "a number of seconds from 0 to below 3600",
-                "value-out-of-range",
+                Problem(
+                    f"exposure_time={self.exposure_time!r}",
+                    "a number of seconds from 0 to below 3600",
+                    code="value-out-of-range",
+                ),
             ),
         )
-        problems.raise_if_any()
 
     @property
     def lines(self) -> int:
@@ -835,47 +836,39 @@ def platform_from_poses(
     poses = {name: finite_floats(values, name, problems) for name, values in {**arrays, **mounting}.items()}
     increases = (np.diff(seconds) > 0).all()
     shapes = {name: (3,) if name in mounting else seconds.shape for name in poses}
-    note_faults(
-        problems,
-        (not increases, "time does not increase from pose to pose", "", "time-unordered"),
+    problems.raise_if_any(
+        (not increases, Problem("time does not increase from pose to pose", code="time-unordered")),
         (
             increases and seconds[-1] - seconds[0] > 1e8,
-            "time spans more than three years",
-            "seconds",
-            "value-out-of-range",
+            Problem("time spans more than three years", "seconds", code="value-out-of-range"),
         ),
         *(
             (
                 values.shape != shapes[name],
-                f"{name} has shape {values.shape}",
-                f"{shapes[name]}",
-                "dims-wrong",
+                Problem(f"{name} has shape {values.shape}", f"{shapes[name]}", code="dims-wrong"),
             )
             for name, values in poses.items()
         ),
         *(
             (
                 values.shape == shapes[name] and not np.abs(values).max(initial=0.0) <= 1e6,
-                f"{name} has values beyond 1e6",
-                "a local frame in metres, angles in degrees",
-                "value-out-of-range",
+                Problem(
+                    f"{name} has values beyond 1e6",
+                    "a local frame in metres, angles in degrees",
+                    code="value-out-of-range",
+                ),
             )
             for name, values in poses.items()
         ),
     )
-    problems.raise_if_any()
     angles = np.stack([poses[name] for name in ("heading", "pitch", "roll")], axis=-1)
     turned = Rotation.from_euler("ZYX", angles, degrees=True)
     steps = turned[:-1].inv() * turned[1:]
     where = int(np.argmax(steps.magnitude()))
-    note_faults(
-        problems,
-        (
-            steps.magnitude()[where] > np.pi / 2,
-            f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
-            "",
-            "turn-too-large",
-        ),
+    problems.add_if(
+        steps.magnitude()[where] > np.pi / 2,
+        f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
+        code="turn-too-large",
     )
     check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
@@ -883,17 +876,17 @@ def platform_from_poses(
     problems.raise_if_any()
     slack = exposure_time / 2 if line_time is None else 1e-9
     early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
-    note_faults(
-        problems,
+    problems.raise_if_any(
         (
             early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9,
-            f"lines are exposed from {early:.6f} to {late:.6f} s",
-            f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
-            "lines-outside-poses",
+            Problem(
+                f"lines are exposed from {early:.6f} to {late:.6f} s",
+                f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
+                code="lines-outside-poses",
+            ),
         ),
-        (len(at) > MAX_LINES, f"{len(at)} lines", f"at most {MAX_LINES}", "size-too-large"),
+        (len(at) > MAX_LINES, Problem(f"{len(at)} lines", f"at most {MAX_LINES}", code="size-too-large")),
     )
-    problems.raise_if_any()
     moment = at[:, None] + exposure_time * np.array([-0.5, 0.5])
     before = np.clip(np.searchsorted(seconds, moment, side="right") - 1, 0, len(seconds) - 2)
     part = ((moment - seconds[before]) / (seconds[before + 1] - seconds[before]))[..., None]
@@ -915,28 +908,29 @@ def _clock(
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
     is_date = poses.dtype.kind == "M"
-    for row in (
+    for check in (
         (
             poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines),
-            f"{poses.size} pose times and {lines.size} line times",
-            "at least two poses and one line",
-            "pose-missing",
+            Problem(
+                f"{poses.size} pose times and {lines.size} line times",
+                "at least two poses and one line",
+                code="pose-missing",
+            ),
         ),
         (
             is_date != (lines.dtype.kind == "M"),
-            f"time is {poses.dtype}, line_time {lines.dtype}",
-            "both datetime64 or both seconds",
-            "type-wrong",
+            Problem(
+                f"time is {poses.dtype}, line_time {lines.dtype}",
+                "both datetime64 or both seconds",
+                code="type-wrong",
+            ),
         ),
         (
             any(times.dtype.kind == "M" and np.isnat(times).any() for times in (poses, lines)),
-            "time or line_time contains NaT",
-            "a time for each",
-            "time-missing",
+            Problem("time or line_time contains NaT", "a time for each", code="time-missing"),
         ),
     ):
-        note_faults(problems, row)
-        problems.raise_if_any()
+        problems.raise_if_any(check)
     base = None
     if is_date:
         base = poses[0].astype("datetime64[ns]")
