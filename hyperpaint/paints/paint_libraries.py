@@ -517,13 +517,6 @@ _MEANINGS = {
 _INHERITED_ATTRS = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
 
 
-def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    # Return texts of any length as an object array, the form in which stores hold them.
-    column = np.empty(len(texts), object)
-    column[:] = list(texts)
-    return column
-
-
 def specular_of(library: xr.Dataset) -> Array:
     # Return the specular reflectance of the coats of a library (signature, band) [1].
     return np.asarray(convert(library[SPECULAR], "1").transpose(SIGNATURE, BAND).values)
@@ -559,9 +552,9 @@ def synthetic_library(
     bands = {name: array for name, array in library.coords.items() if array.dims == (BAND,)}
     paints = paints.assign_coords(bands).assign_coords(
         {
-            SIGNATURE: (SIGNATURE, text_column(names), LIBRARY_VARIABLES[SIGNATURE].attrs),
+            SIGNATURE: (SIGNATURE, np.array(names, object), LIBRARY_VARIABLES[SIGNATURE].attrs),
             **{
-                name: (SIGNATURE, text_column(column), {"long_name": meaning})
+                name: (SIGNATURE, np.array(column, object), {"long_name": meaning})
                 for name, meaning, column in (
                     ("provenance", "Where the paint comes from", ["synthetic"] * len(names)),
                     (
@@ -1183,7 +1176,11 @@ def starter_library(
     paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
     swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
     texts = {
-        name: (SIGNATURE, text_column(swatches if name == "srgb" else [spec[name] for spec in specs]), attrs)
+        name: (
+            SIGNATURE,
+            np.array(swatches if name == "srgb" else [spec[name] for spec in specs], object),
+            attrs,
+        )
         for name, attrs in (
             ("finish", {"long_name": "Finish"}),
             ("colour", {"long_name": "Colour in words"}),
