@@ -10,6 +10,7 @@ from .constants import *
 from .errors import *
 from .errors import warn_if as warn_if, warn_user as warn_user  # not listed by the public module
 from .facts import *
+from .groups import *
 from .input_files import *
 from .mirrored_light import *
 from .old_names import *

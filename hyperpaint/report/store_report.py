@@ -43,6 +43,7 @@ from hyperpaint.base import (
     StoreError,
     as_path,
     documented,
+    grouped,
     numbers_of,
     part_of,
     read_limited,
@@ -574,17 +575,14 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
 
 def _refusals(refused: Sequence[str]) -> Markup:
     # refused regions by reason, the most frequent first; reasons that differ in numbers only are one
-    places: dict[str, list[str]] = {}
-    reasons: dict[str, str] = {}
-    for text in refused:
-        place, _, reason = text.partition(": ")
-        key = re.sub(r"\d+(\.\d+)?", "#", reason)
-        places.setdefault(key, []).append(place)
-        reasons.setdefault(key, reason)
+    groups = grouped(
+        (re.sub(r"\d+(\.\d+)?", "#", reason), (reason, place))
+        for place, _, reason in (text.partition(": ") for text in refused)
+    )
     rows = []
-    for key, found in sorted(places.items(), key=lambda pair: -len(pair[1])):
+    for found in sorted(groups.values(), key=len, reverse=True):
         more = f" and {len(found) - MAX_PLACES} more" if len(found) > MAX_PLACES else ""
-        rows.append((len(found), reasons[key], "; ".join(found[:MAX_PLACES]) + more))
+        rows.append((len(found), found[0][0], "; ".join(place for _, place in found[:MAX_PLACES]) + more))
     return page_part(
         "table",
         heads=("regions", "reason", "where"),

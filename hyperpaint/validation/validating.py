@@ -43,6 +43,8 @@ from hyperpaint.base import (
     convert,
     documented,
     find,
+    grouped,
+    listed,
     mirror_reflection,
     one_of,
     require,
@@ -365,10 +367,11 @@ class Validation:
 
     def _remarks(self) -> list[str]:
         # notes of the pairs, each once with the pairs it is about, and unpaired names
-        rows_of_text: dict[str, list[int]] = {}
-        for row, texts in enumerate(self.notes):
-            for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
-                rows_of_text.setdefault(text, []).append(row)
+        rows_of_text = grouped(
+            (text, row)
+            for row, texts in enumerate(self.notes)
+            for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts)
+        )
         remarks = [f"{self._pair_names(rows)}: {text}" for text, rows in rows_of_text.items()]
         unpaired = {
             "without a reference": self.unpaired_signatures,
@@ -386,9 +389,7 @@ class Validation:
             name in instruments_of_rows for name in instruments
         ):
             return instruments_of_rows.pop()
-        paints = [_short(self._texts("signature")[row]) for row in rows]
-        more = len(paints) - _MAX_NAMES
-        return ", ".join(paints[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+        return listed([_short(self._texts("signature")[row]) for row in rows], _MAX_NAMES)
 
 
 def _with_uncertainty(value: float, u: float) -> str:
@@ -1441,11 +1442,11 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
     # Files of one name in different folders are not repeated readings of one paint: a problem.
     matches: dict[str, list[int]] = {}
     for rank in range(3):
-        matches_of_rank: dict[str, list[int]] = {}
-        for k, reference in enumerate(references):
-            if name in reference.names.ranks[rank] and reference.instrument not in matches:
-                matches_of_rank.setdefault(reference.instrument, []).append(k)
-        matches |= matches_of_rank
+        matches |= grouped(
+            (reference.instrument, k)
+            for k, reference in enumerate(references)
+            if name in reference.names.ranks[rank] and reference.instrument not in matches
+        )
     for instrument, numbers in matches.items():
         origins = {references[k].names.origin for k in numbers}
         if len(origins) > 1:
@@ -1468,9 +1469,7 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
 
 
 def _listed(names: Sequence[str]) -> str:
-    text = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
-    more = len(names) - _MAX_LISTED_NAMES
-    return f"{text} and {more} more" if more > 0 else text
+    return listed(list(map(repr, names)), _MAX_LISTED_NAMES) or "none"
 
 
 def _mean_reference(pair: Pair) -> Measured:
@@ -1974,12 +1973,10 @@ def validate(
     )
     problems.raise_if_any()
     # serial numbers distinguish several instruments of one make
-    serials: dict[str, set[str]] = {}
-    for spectrum in spectra:
-        serials.setdefault(spectrum.instrument, set()).add(spectrum.serial)
+    serials = grouped((spectrum.instrument, spectrum.serial) for spectrum in spectra)
     reference_spectra = [
         replace(spectrum, instrument=f"{spectrum.instrument} {spectrum.serial}")
-        if spectrum.serial and len(serials[spectrum.instrument]) > 1
+        if spectrum.serial and len(set(serials[spectrum.instrument])) > 1
         else spectrum
         for spectrum in spectra
     ]

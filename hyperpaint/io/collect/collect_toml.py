@@ -31,6 +31,7 @@ from hyperpaint.base import (
     facts_of,
     input_path,
     is_number,
+    listed,
     origin_of,
     warn_if,
     with_numbers,
@@ -53,7 +54,6 @@ from hyperpaint.io.flightline.side_files import (
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import UncoveredError, cut_irradiance, open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra
-from hyperpaint.io.spectrometers.spectrum_texts import listed
 
 #: Keys of a flight line's files beside its cube.
 _SIDE_FILES = ("frame_index", "nav", "gps_time")

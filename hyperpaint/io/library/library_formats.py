@@ -42,6 +42,7 @@ from hyperpaint.base import (
     documented,
     head_of,
     is_number,
+    listed,
     one_of,
     takes_quantities,
     with_integer_dtypes,
@@ -1191,8 +1192,7 @@ def _declarations(library: xr.Dataset) -> Iterator[_Row]:
 
 
 def _listed(names: list[str]) -> str:
-    text = ", ".join(f"{name!r:.60}" for name in names[:_MAX_NAMES])
-    return text if len(names) <= _MAX_NAMES else f"{text} and {len(names) - _MAX_NAMES} more"
+    return listed([f"{name!r:.60}" for name in names], _MAX_NAMES)
 
 
 def _extremes(values: Array) -> str:

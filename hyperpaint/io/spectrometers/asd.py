@@ -35,8 +35,10 @@ from hyperpaint.base import (
     SchemaError,
     TimeError,
     as_path,
+    grouped,
     head_of,
     label,
+    listed,
     one_of,
     read_limited,
     warn_if,
@@ -65,7 +67,6 @@ from .spectrum_texts import (
     for_all,
     form_of,
     is_logger_csv,
-    listed,
     name_spectra,
     ratio,
     read_spectrum_text,
@@ -821,10 +822,11 @@ def read_spectra(
         f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}",
         "quantity-assumed",
     )
-    names_by_conflict: dict[str, list[str]] = {}
-    for content in contents:
-        if conflict := _receptor_conflict(content, target_quantity):
-            names_by_conflict.setdefault(conflict, []).append(content.name)
+    names_by_conflict = grouped(
+        (conflict, content.name)
+        for content in contents
+        if (conflict := _receptor_conflict(content, target_quantity))
+    )
     # pass by the user's word, and are listed by `check`
     for conflict, names in names_by_conflict.items():
         FormatError.raise_if(
@@ -1034,7 +1036,7 @@ def _spectrum_of(
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
     # Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning.
-    names_by_reason: dict[str, list[str]] = {}
+    found: list[tuple[str, str]] = []  # reason and source
     masked = []
     for spectrum in spectra:
         values, is_counts = spectrum.values, quantity == "counts"
@@ -1045,11 +1047,10 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
             "zero throughout": nowhere if is_counts or values.any() else ~nowhere,
             "saturated": nowhere if is_counts or spectrum.saturated is None else spectrum.saturated,
         }
-        for reason in (reason for reason, is_faulty in faults.items() if is_faulty.any()):
-            names_by_reason.setdefault(reason, []).append(spectrum.source)
+        found += [(reason, spectrum.source) for reason, is_faulty in faults.items() if is_faulty.any()]
         is_masked = np.logical_or.reduce(list(faults.values()))
         masked.append(replace(spectrum, values=np.where(is_masked, np.nan, values)))
-    for reason, names in names_by_reason.items():
+    for reason, names in grouped(found).items():
         warn_user(
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: "
             f"{listed(names)}",
@@ -1067,10 +1068,9 @@ def utc_offsets(
     # one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
     #     which must agree.
     # Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
-    sources_by_offset: dict[float, list[str]] = {}
-    for spectrum in spectra:
-        if spectrum.utc_offset_h is not None:
-            sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
+    sources_by_offset = grouped(
+        (spectrum.utc_offset_h, spectrum.source) for spectrum in spectra if spectrum.utc_offset_h is not None
+    )
     offsets_text = "; ".join(
         f"{hours:+g} h in {listed(names, 3)}" for hours, names in sources_by_offset.items()
     )

@@ -37,6 +37,7 @@ from hyperpaint.base import (
     input_path,
     is_number,
     label,
+    listed,
     one_of,
     require,
     takes_quantities,
@@ -63,7 +64,6 @@ from .spectrum_texts import (
     check_utc_offset,
     for_all,
     heading_cells,
-    listed,
     orders_of,
     read_stamp,
 )

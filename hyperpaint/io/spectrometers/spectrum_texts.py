@@ -44,8 +44,10 @@ from hyperpaint.base import (
     conversion_factor,
     discover,
     fetch,
+    grouped,
     input_path,
     label,
+    listed,
     one_of,
     warn_if,
 )
@@ -214,10 +216,8 @@ def same_grids(
     grids: Iterable[tuple[str, Floats]],
 ) -> list[tuple[Floats, list[str]]]:
     # Return each distinct set of wavelengths with the names of its spectra.
-    groups: dict[bytes, tuple[Floats, list[str]]] = {}
-    for name, wavelength in grids:
-        groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
-    return list(groups.values())
+    groups = grouped((wavelength.tobytes(), (wavelength, name)) for name, wavelength in grids)
+    return [(members[0][0], [name for _, name in members]) for members in groups.values()]
 
 
 def require_one_grid(grids: Iterable[tuple[str, Floats]], advice: Callable[[], str] = str) -> None:
@@ -245,9 +245,7 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     # Return the quantity that all files hold.
     # quantities: Quantity, None where unknown, and name of each file.
     # Raises FormatError: A quantity is unknown, or they differ; all are listed.
-    names_by_quantity: dict[str | None, list[str]] = {}
-    for quantity, name in quantities:
-        names_by_quantity.setdefault(quantity, []).append(name)
+    names_by_quantity = grouped(quantities)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
         raise FormatError(
             "the spectra hold several or unknown quantities",
@@ -296,12 +294,6 @@ def check_utc_offset(hours: float) -> None:
         expected="local time minus UTC in hours, within -14 to 14",
         code="value-out-of-range",
     )
-
-
-def listed(names: Sequence[str], max_names: int = 20) -> str:
-    # Return the names as text, shortened to the first ``max_names``.
-    remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
-    return ", ".join(names[:max_names]) + remainder
 
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
@@ -1046,7 +1038,7 @@ def _coords_of_scans(
         for stamp in stamps_of_file
         if stamp is not None
     )
-    files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
+    found: dict[tuple[tuple[str, str], str], None] = {}  # reason with its code, and file
     times = {scan: np.full(len(files), _NAT) for scan in scans}
     for number, file in enumerate(files):
         order = orders.get(instruments[number])
@@ -1082,10 +1074,9 @@ def _coords_of_scans(
                     "utc-offset-conflict",
                 ): is_conflict,
             }
-            for key in (key for key, applies in reasons.items() if applies):
-                files_by_reason.setdefault(key, {})[file.name] = None
-    for (reason, code), names in files_by_reason.items():
-        warn_of(reason, list(names), code)
+            found |= {(reason, file.name): None for reason, applies in reasons.items() if applies}
+    for (text, code), names in grouped(found).items():
+        warn_of(text, names, code)
     coords: dict[str, Any] = {}
     for scan in scans:
         meaning = f"UTC of the scan of the {'white reference' if scan == 0 else 'target'}"
@@ -1214,14 +1205,13 @@ def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
     >>> orders_of(("HI: 1152050", read_stamp(text)) for text in dates)
     {'HI: 1152050': False}
     """
-    orders_by_instrument: dict[str, set[bool]] = {}
-    for instrument, stamp in stamps:
-        if stamp.slashes and stamp.order is not None:
-            orders_by_instrument.setdefault(instrument, set()).add(stamp.order)
+    orders_by_instrument = grouped(
+        (instrument, order)
+        for instrument, stamp in stamps
+        if stamp.slashes and (order := stamp.order) is not None
+    )
     return {
-        instrument: next(iter(orders))
-        for instrument, orders in orders_by_instrument.items()
-        if len(orders) == 1
+        instrument: orders[0] for instrument, orders in orders_by_instrument.items() if len(set(orders)) == 1
     }
 
 
