@@ -34,7 +34,6 @@ from hyperpaint.base import (
     KEPT_BITS,
     SIGNATURE,
     Array,
-    FormatError,
     PaintError,
     PaintWarning,
     Progress,
@@ -46,14 +45,18 @@ from hyperpaint.base import (
     grouped,
     numbers_of,
     part_of,
-    read_limited,
     rename_to_roles,
     schema,
     warn_if,
     with_new_names,
 )
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
-from hyperpaint.io.files.publishing import check_place, publish_file, published_folder
+from hyperpaint.io.files.publishing import (
+    check_place,
+    foreign_content,
+    publish_file,
+    published_folder,
+)
 from hyperpaint.io.store import (
     Location,
     list_groups,
@@ -491,17 +494,14 @@ def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
         return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
     # flown upwards, as in all pictures of a line
     orientation = orientation_of(line)
-    upright = (picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)[::-1]
+    upright = picture_bytes(picture[::-1, :: -1 if orientation.is_mirrored else 1])
     columns = "left" if orientation.is_mirrored else "right"
-    upright = upright[:, ::-1] if orientation.is_mirrored else upright
     caption = (
         f"{line.sizes[ALONG_TRACK]} lines, flown upwards;"
         f" {line.sizes[CROSS_TRACK]} columns, counted to the {columns}."
     )
     pictures.append(True)
-    return page_part(
-        "true_colour", src=data_uri(encode_png(np.ascontiguousarray(upright))), caption=caption, kind="half"
-    )
+    return page_part("true_colour", src=data_uri(encode_png(upright)), caption=caption, kind="half")
 
 
 def _flags(
@@ -785,7 +785,7 @@ def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide"
     )
 
 
-def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def picture_bytes(picture: xr.DataArray | Array) -> _Picture:
     # Return a picture from 0 to 1 as bytes; pixels without a value are black.
     values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
     return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
@@ -863,7 +863,6 @@ _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 FORMAT = "hyperpaint site 1"
 _INDEX = "site.json"
 _WEB = resources.files("hyperpaint") / "report" / "web"
-_MAX_INDEX_BYTES = 16 * 2**20
 _ORIGIN = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?")
 
 # variables of a line or map that the page reads
@@ -1044,7 +1043,11 @@ def write_site(
         f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",
         code="store-empty",
     )
-    with published_folder(folder, overwrite=overwrite, foreign=_foreign) as build:
+    site_names = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
+    foreign = partial(
+        foreign_content, product="a site", marker=_INDEX, form=FORMAT, is_own=site_names.__contains__
+    )
+    with published_folder(folder, overwrite=overwrite, foreign=foreign) as build:
         if link is None:
             to_store(xr.DataTree.from_dict(shown), build / "store.zarr", layout="web", progress=progress)
         collects = [str(group.attrs["collect"]) for group in shown.values() if "collect" in group.attrs]
@@ -1085,21 +1088,8 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
     except SchemaError:  # fewer than three visible bands: a grey picture to click on
         colours = np.full((min(rows, lines), columns, 3), 0.5, np.float32)
     geometry["steps"] = [-(-rows // colours.shape[0]), -(-columns // colours.shape[1])]
-    picture = (np.nan_to_num(colours).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     if is_line:
         orientation = orientation_of(source)
         geometry["mirrored"] = orientation.is_mirrored
-        picture = flown_right(picture, orientation)
-    return np.ascontiguousarray(picture), geometry
-
-
-def _foreign(folder: Path) -> str:
-    try:
-        index = json.loads(read_limited(folder / _INDEX, _MAX_INDEX_BYTES, "a site"))
-    except (FormatError, OSError, ValueError, RecursionError):
-        index = None
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
-        return "other files"
-    site_names = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
-    foreign = sorted(path.name for path in folder.iterdir() if path.name not in site_names)
-    return f"{foreign[0]}, which is not part of a site" if foreign else ""
+        colours = flown_right(colours, orientation)
+    return picture_bytes(colours), geometry

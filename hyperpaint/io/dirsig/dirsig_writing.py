@@ -9,6 +9,7 @@ import os
 import re
 import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape, quoteattr
@@ -25,7 +26,6 @@ from hyperpaint.base import (
     SIGNATURE,
     Array,
     Floats,
-    FormatError,
     Ints,
     Problem,
     Problems,
@@ -36,12 +36,11 @@ from hyperpaint.base import (
     is_number,
     mirror_reflection,
     one_of,
-    read_limited,
     require,
     takes_quantities,
-    warn_user,
+    warn_if,
 )
-from hyperpaint.io.files.publishing import published_folder
+from hyperpaint.io.files.publishing import foreign_content, published_folder
 
 from .dirsig_files import (
     CURVE_BEGIN,
@@ -136,12 +135,12 @@ class PaintCurves:
         self.order = np.argsort(wavelength, kind="stable")
         self.wavelength = wavelength[self.order]
         steps = np.diff(wavelength)
-        if not ((steps > 0).all() or (steps < 0).all()):
-            warn_user(
-                "wavelengths of detectors overlap: bands are sorted, so that samples of both alternate; "
-                "keep one detector per wavelength, as open_svc(overlap='trim') does",
-                "wavelength-unordered",
-            )
+        warn_if(
+            not ((steps > 0).all() or (steps < 0).all()),
+            "wavelengths of detectors overlap: bands are sorted, so that samples of both alternate; keep one "
+            "detector per wavelength, as open_svc(overlap='trim') does",
+            "wavelength-unordered",
+        )
         micrometres = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if equal := np.flatnonzero(np.diff(micrometres) <= 0.0).tolist():
             examples = ", ".join(f"{self.wavelength[band]:.4f}" for band in equal[:8])
@@ -299,8 +298,6 @@ _EXPORT_NAME = re.compile(
     r"emissivity|reflectance|brdf|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
 
-_MAX_BYTES = 256 * 2**20
-
 #: Texts of exports, templates of this folder; ``escaped`` and ``quoted`` are for XML.
 TEXTS = jinja2.Environment(
     loader=jinja2.PackageLoader("hyperpaint", "io/dirsig"),
@@ -320,17 +317,9 @@ def export_folder(
     # be replaced; ``inside``: folders that are created in it.
     # Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
     # process writes there; or it cannot be written.
-    def foreign(existing: Path) -> str:
-        # Description of files that no export contains, empty for an export
-        try:
-            document = json.loads(read_limited(existing / MARKER, _MAX_BYTES, "an export"))
-        except (FormatError, ValueError, RecursionError):
-            document = None
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            return "other files"
-        names = sorted(path.name for path in existing.iterdir() if not _EXPORT_NAME.fullmatch(path.name))
-        return f"{names[0]}, which no export has" if names else ""
-
+    foreign = partial(
+        foreign_content, product="an export", marker=MARKER, form=FORMAT, is_own=_EXPORT_NAME.fullmatch
+    )
     with published_folder(as_path(folder).absolute(), overwrite=overwrite, foreign=foreign) as build:
         for name in inside:
             (build / name).mkdir(parents=True)
@@ -660,9 +649,8 @@ def write_dirsig(
     with export_folder(folder, overwrite=overwrite, inside=inside) as build:
         write_spectra(paint_curves, build, records, progress)
         attrs = {**paint_curves.attrs, "surface": surface, "curves_of": curves}
-        for name in ("title", "source", "provenance", "references", "license"):
-            if name in library.attrs:
-                attrs[f"library_{name}"] = str(library.attrs[name])
+        described = ("title", "source", "provenance", "references", "license")
+        attrs |= {f"library_{name}": str(library.attrs[name]) for name in described if name in library.attrs}
         content = {"paints": records, "about": attrs, "width": max(2, *(len(r["id"]) for r in records))}
         write_texts(
             build,
@@ -692,8 +680,7 @@ def write_dirsig(
         if any(counts) and not (gaps is not None and "interpolated" in key):
             paints = f"in {sum(map(bool, counts))} of {len(records)} paints"
             messages.append(f"{sum(counts)} {change} ({paints})")
-    if messages:
-        warn_user(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", "spectra-changed")
+    warn_if(messages, f"DIRSIG materials: {'; '.join(messages)}; see README.txt", "spectra-changed")
     numbers = ("curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated")
     summary = summary_of(
         records,
@@ -955,27 +942,27 @@ def write_dirsig_scene(
     vis,nir README.txt geometry ground.jsim ground.scene maps materials paints.json
     """
     libraries = list(paints) if isinstance(paints, Sequence) else [paints]
-    problems = Problems("no DIRSIG scene can be written", SchemaError)
     place = np.asarray(origin, np.float64)
     is_place = place.shape == (3,) and np.isfinite(place).all() and (abs(place[:2]) <= [90.0, 360.0]).all()
-    problems.extend(
-        Problem(found, expected=expected, code="value-out-of-range")
-        for is_right, found, expected in (
-            (
-                isinstance(max_curves, int) and max_curves >= 1,
-                f"max_curves={max_curves!r}",
-                "a whole number above 0",
-            ),
-            (
-                is_number(texture_m) and 1e-3 <= texture_m <= 1e4,
-                f"texture_m={texture_m!r}",
-                "0.001 to 10000 m",
-            ),
-            (is_place, f"origin={origin!r}", "latitude and longitude [degree] and height [m]"),
-        )
-        if not is_right
+    checks = (
+        (
+            isinstance(max_curves, int) and max_curves >= 1,
+            f"max_curves={max_curves!r}",
+            "a whole number above 0",
+        ),
+        (
+            is_number(texture_m) and 1e-3 <= texture_m <= 1e4,
+            f"texture_m={texture_m!r}",
+            "0.001 to 10000 m",
+        ),
+        (is_place, f"origin={origin!r}", "latitude and longitude [degree] and height [m]"),
     )
-    problems.raise_if_any()
+    Problems("no DIRSIG scene can be written", SchemaError).raise_if_any(
+        *(
+            (not is_right, Problem(found, expected=expected, code="value-out-of-range"))
+            for is_right, found, expected in checks
+        )
+    )
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     repaint = dict(repaint or {})

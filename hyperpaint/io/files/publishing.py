@@ -34,6 +34,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hyperpaint.base import (
+    FormatError,
     PaintError,
     Problem,
     Problems,
@@ -41,6 +42,7 @@ from hyperpaint.base import (
     file_system,
     forget,
     is_plain_file,
+    read_limited,
     url_of,
 )
 from hyperpaint.io.store import (
@@ -54,6 +56,7 @@ from hyperpaint.io.store import (
 
 _SWAP, _JOURNAL = "swap", "journal"
 MAX_JOURNAL_BYTES = 100_000
+MAX_MARKER_BYTES = 256 * 2**20
 _PROBE_BYTES = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -115,6 +118,23 @@ def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
     # Write a file completely or not at all, like `published_files`.
     with published_files([path], overwrite=overwrite) as (temporary,):
         temporary.write_bytes(content)
+
+
+def foreign_content(
+    folder: Path, product: str, *, marker: str, form: str, is_own: Callable[[str], object]
+) -> str:
+    # Return a description of content that is not of an earlier product, for `published_folder`.
+    #
+    # ``product``: the kind of folder, such as "a site"; ``marker``: its file of JSON whose ``format`` is
+    # ``form``; ``is_own``: whether it may have a file or folder of a name.
+    try:
+        document = json.loads(read_limited(folder / marker, MAX_MARKER_BYTES, product))
+    except (FormatError, OSError, ValueError, RecursionError):
+        document = None
+    if not isinstance(document, dict) or document.get("format") != form:
+        return "other files"
+    names = sorted(path.name for path in folder.iterdir() if not is_own(path.name))
+    return f"{names[0]}, which is not part of {product}" if names else ""
 
 
 @contextlib.contextmanager
