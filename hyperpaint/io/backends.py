@@ -37,10 +37,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         path = Path(os.fsdecode(filename_or_obj))
         if path.suffix.lower() == ".hdr":
             return _is_envi_header(path)
-        try:
-            if not path.is_file():
-                return False
-        except (OSError, ValueError):
+        if not os.path.isfile(path):
             return False
         beside = [Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")]
         if path.suffix.lower() in _DATA_SUFFIXES:
@@ -85,7 +82,7 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
-        return path.suffix.lower() == self.suffix and bool(re.match(self.beginning, _first_bytes(path, 120)))
+        return path.suffix.lower() == self.suffix and bool(re.match(self.beginning, first_bytes(path, 120)))
 
     def open_dataset(
         self,
@@ -123,10 +120,10 @@ def _without(dataset: "xr.Dataset", drop_variables: str | Iterable[str] | None) 
 
 
 def _is_envi_header(path: Path) -> bool:
-    return _first_bytes(path, 7).removeprefix(b"\xef\xbb\xbf").startswith(b"ENVI")
+    return first_bytes(path, 7).removeprefix(b"\xef\xbb\xbf").startswith(b"ENVI")
 
 
-def _first_bytes(path: Path, count: int) -> bytes:
+def first_bytes(path: Path, count: int) -> bytes:
     # Empty for an unreadable file.
     try:
         if not path.is_file():  # a pipe would wait

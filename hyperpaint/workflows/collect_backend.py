@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from xarray.backends import BackendEntrypoint
 
+from hyperpaint.io.backends import first_bytes
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -31,13 +33,8 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
-        try:
-            if path.suffix.lower() != ".toml" or not path.is_file():
-                return False
-            with open(path, "rb") as file:
-                return b"[flightlines" in file.read(2**16).replace(b" ", b"")
-        except (OSError, ValueError):
-            return False
+        is_toml = path.suffix.lower() == ".toml"
+        return is_toml and b"[flightlines" in first_bytes(path, 2**16).replace(b" ", b"")
 
     def open_datatree(
         self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True

@@ -1090,13 +1090,14 @@ def _coords_of_scans(
         "position-unreadable",
     )
     columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
-    for name, column in zip(("latitude", "longitude"), columns, strict=True):
-        coords[name] = (
+    return coords | {
+        name: (
             "spectrum",
             column,
             {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"},
         )
-    return coords
+        for name, column in zip(("latitude", "longitude"), columns, strict=True)
+    }
 
 
 # --- clocks ------------------------------------------------------------------------------------------------
