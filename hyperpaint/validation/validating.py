@@ -19,6 +19,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
@@ -981,9 +982,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
     # number of every channel's detector, in the order of the file; None where it is not stated
     detectors = None
     if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
-        names = [str(name) for name in dataset["detector"].values]
-        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
-        detectors = np.array([numbers[name] for name in names], np.intp)
+        detectors = pd.factorize(dataset["detector"].values.astype(str))[0]
     channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
@@ -2157,14 +2156,13 @@ def _statistics(
             if not used.any():
                 continue
             spectra = comparison.signature[used], comparison.reference[used]
-            statistics["coverage"][row, column] = comparison.coverage[used].min()
-            statistics["level"][row, column] = comparison.reference[used].mean()
-            for name, value in statistics_of(*spectra).items():
-                statistics[name][row, column] = value
+            of_part = statistics_of(*spectra)
+            of_part |= {"coverage": comparison.coverage[used].min(), "level": spectra[1].mean()}
             if comparison.errors is not None:
                 uncertainties = uncertainty_of(*spectra, *(errors[:, used] for errors in comparison.errors))
-                for name, value in uncertainties.items():
-                    statistics[f"{name}_u"][row, column] = value
+                of_part |= {f"{name}_u": value for name, value in uncertainties.items()}
+            for name, value in of_part.items():
+                statistics[name][row, column] = value
     statistics["rmse_limit"] = _rmse_limit(limits, statistics["level"])
     dims = ("pair", "part")
     arrays = {**statistics, "bands": bands, "bands_left_out": excluded_bands}
