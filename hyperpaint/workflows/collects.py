@@ -18,6 +18,7 @@ from hyperpaint.base import (
     Convention,
     FormatError,
     PaintWarning,
+    Problems,
     SchemaError,
     as_path,
     documented,
@@ -302,7 +303,7 @@ def refuse_findings(
     # Returns by group the attributes for the store: accepted findings of a line, and judgements that it
     # passed. Raises `CollectError`
     # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
-    refused = []
+    problems = Problems(f"{opened.settings.path} is implausible, and is not processed", CollectError)
     accepted: dict[str, dict[str, Any]] = {}
     for group, findings in _findings(
         opened, [name for name in lines if name in opened.members], lit=lit
@@ -315,14 +316,10 @@ def refuse_findings(
             elif finding.kind.name in accept:
                 accepted.setdefault(group, {}).setdefault("accepted_findings", []).append(str(finding))
             elif finding.kind.refused:
-                refused.append(finding.problem(acceptable=True))
+                problems.extend([finding.problem(acceptable=True)])
             elif finding.line != RECORD:  # whose faults were told when it was opened
                 warn_user(str(replace(finding.problem(), code="")), finding.kind.name)
-    if refused:
-        raise CollectError(
-            f"{opened.settings.path} is implausible, and is not processed",
-            problems=refused,
-        )
+    problems.raise_if_any()
     return accepted
 
 

@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from hyperpaint.base import (
@@ -134,8 +133,8 @@ def write_signatures(
         dataset = open_store(store)
         if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
             datasets[str(dataset.attrs.get("name", ""))] = dataset
-    for name in names if not requested or not set(requested) <= set(names) else requested:
-        datasets[name] = open_store(store, f"{LINES}{name}")
+    opened = requested if requested and set(requested) <= set(names) else names
+    datasets |= {name: open_store(store, f"{LINES}{name}") for name in opened}
     StoreError.raise_if(
         not datasets,
         f"{store} holds no flight line",
@@ -380,8 +379,6 @@ def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
 
 
 def _json_value(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

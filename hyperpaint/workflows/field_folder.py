@@ -662,17 +662,11 @@ def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) ->
     stems = [_stem(cube).lower() for cube in cubes]
     if len(set(stems)) == len(stems):
         return {}
-    ids: dict[Path, str] = {}
-    for folder in dict.fromkeys(cube.header.parent for cube in cubes):
-        stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
-        used_ids = {name.lower() for name in ids.values()}
-        # an id has at least two characters and differs from those of other folders
-        ids[folder] = next(
-            name
-            for name in (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
-            if len(name) > 1 and name.lower() not in used_ids
-        )
-    return ids
+    folders = dict.fromkeys(cube.header.parent for cube in cubes)
+    ids = [re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight" for folder in folders]
+    # an id has at least two characters, and differs from those of other folders
+    short_ids = [name for name in ids if len(name) < 2]
+    return dict(zip(folders, unique_names(ids, short_ids, suffix="_{}", fold=str.lower), strict=True))
 
 
 def _stem(cube: FlightCube) -> str:

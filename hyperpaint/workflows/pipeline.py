@@ -289,7 +289,15 @@ def write_groups(
         except (PaintError, OSError) as error:
             problems.add_error(f"/{name}", error)
 
-    at_once, as_one_task = _groups_at_once(client, products)
+    # the number of groups that keep all threads of a cluster busy, and whether each is one task; groups of
+    # one task cost the client least, where there are enough for all threads
+    at_once, as_one_task = 1, False
+    if client is not None:
+        arrays = [array for group in products.values() for array in group.variables.values()]
+        slabs = max([1, *(len(array.chunksizes.get(ALONG_TRACK, ())) for array in arrays)])
+        threads: int = sum(client.nthreads().values())
+        as_one_task = slabs <= _SLABS_OF_A_TASK and len(products) >= 2 * threads
+        at_once = max(1, min(len(products), 2 * threads // (1 if as_one_task else slabs)))
     lines = [name for name, dataset in products.items() if "quality" in dataset.variables]
     for names in (lines[:1], lines[1:]):
         in_parallel(first_slab, names, at_once)
@@ -321,18 +329,6 @@ def write_groups(
 
 #: A group with more slabs is more than one task on a cluster.
 _SLABS_OF_A_TASK = 8
-
-
-def _groups_at_once(client: "Client | None", groups: Mapping[str, xr.Dataset]) -> tuple[int, bool]:
-    # Number of groups that keep all threads of a cluster busy, and whether each is one task; 1 on the threads
-    # of this process. Groups of one task cost the client least, where there are enough for all threads.
-    if client is None:
-        return 1, False
-    arrays = [array for group in groups.values() for array in group.variables.values()]
-    slabs = max([1, *(len(array.chunksizes.get(ALONG_TRACK, ())) for array in arrays)])
-    threads: int = sum(client.nthreads().values())
-    as_one_task = slabs <= _SLABS_OF_A_TASK and len(groups) >= 2 * threads
-    return max(1, min(len(groups), 2 * threads // (1 if as_one_task else slabs))), as_one_task
 
 
 # --- where it is computed ---
@@ -508,8 +504,6 @@ def states_of(paths: Iterable[Path]) -> dict[str, str]:
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
     # Return a digest of settings, of all values except cubes, and of samples of the cubes' files.
-    import dask
-
     digest = hashlib.sha256(settings.encode())
     for cube in cubes:
         # fields of the header that change the values read from the same file
@@ -856,9 +850,8 @@ def _with_flags(line: xr.Dataset, name: str) -> xr.Dataset:
 def _product(dataset: xr.Dataset, name: str, to: Product) -> xr.Dataset:
     if not name.startswith("flightlines/"):
         return dataset
-    product: xr.Dataset
     if to == "radiance":
-        product = dataset.paint.radiance()
+        product: xr.Dataset = dataset.paint.radiance()
         return product
     product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS

@@ -499,65 +499,61 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
                 mend="name its group in the store",
                 code="key-missing",
             )
-            entry = None
-        else:
-            reader.is_name(place, "name", name)
-            measured = [source for source in sources if source != "preset"]
-            needs_sun = sources[:1] not in ([], ["preset"]) and "sun_zenith_deg" not in present
-            checks = (
+            continue
+        reader.is_name(place, "name", name)
+        measured = [source for source in sources if source != "preset"]
+        needs_sun = sources[:1] not in ([], ["preset"]) and "sun_zenith_deg" not in present
+        checks = (
+            (
+                not sources and name not in PRESETS,
+                Problem(
+                    f"{place} name = {shown(name)} without a source of light",
+                    expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
+                    mend="name one of them",
+                    code="choice-unknown",
+                ),
+            ),
+            (
+                needs_sun,
+                Problem(
+                    f"{place} sun_zenith_deg is missing",
+                    mend=f"state where the sun stands: {''.join(sources[:1])} does not contain it",
+                    code="key-missing",
+                ),
+            ),
+            *(
                 (
-                    not sources and name not in PRESETS,
+                    key in present and sources != ["irradiance"],
                     Problem(
-                        f"{place} name = {shown(name)} without a source of light",
-                        expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
-                        mend="name one of them",
-                        code="choice-unknown",
+                        f"{place} {key} without irradiance",
+                        mend="name files of a spectrometer",
+                        code="key-misplaced",
                     ),
-                ),
+                )
+                for key in ("direct_fraction", "time")
+            ),
+            *(
                 (
-                    needs_sun,
+                    key in present and measured != [],
                     Problem(
-                        f"{place} sun_zenith_deg is missing",
-                        mend=f"state where the sun stands: {''.join(sources[:1])} does not contain it",
-                        code="key-missing",
+                        f"{place} {key} with {''.join(sources[-1:])}",
+                        expected="a preset",
+                        mend="remove the key",
+                        code="key-misplaced",
                     ),
-                ),
-                *(
-                    (
-                        key in present and sources != ["irradiance"],
-                        Problem(
-                            f"{place} {key} without irradiance",
-                            mend="name files of a spectrometer",
-                            code="key-misplaced",
-                        ),
-                    )
-                    for key in ("direct_fraction", "time")
-                ),
-                *(
-                    (
-                        key in present and measured != [],
-                        Problem(
-                            f"{place} {key} with {''.join(sources[-1:])}",
-                            expected="a preset",
-                            mend="remove the key",
-                            code="key-misplaced",
-                        ),
-                    )
-                    for key in ("aerosol", "water")
-                ),
-            )
-            problems.extend(problem for is_wrong, problem in checks if is_wrong)
-            files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-            options = arguments_of(
-                SCHEMA["atmospheres"],
-                {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
-            )
-            preset = table.get("preset", None if sources else name)
-            entry = AtmosphereEntry(
-                name, preset, reader.path(place, "table", table.get("table")), files, options
-            )
-        if entry is not None:
-            entries.append(entry)
+                )
+                for key in ("aerosol", "water")
+            ),
+        )
+        problems.extend(problem for is_wrong, problem in checks if is_wrong)
+        files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
+        options = arguments_of(
+            SCHEMA["atmospheres"],
+            {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
+        )
+        preset = table.get("preset", None if sources else name)
+        table_path = reader.path(place, "table", table.get("table"))
+        entries.append(AtmosphereEntry(name, preset, table_path, files, options))
     names = [entry.name.lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
