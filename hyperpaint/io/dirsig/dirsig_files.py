@@ -213,21 +213,27 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
     layout, mark = ("new", _NEW_MARK) if is_new else ("old", _OLD_MARK)
     marks = list(mark.finditer(body, start))
     line = _ANGLES + 3 + body.count(b"\n", 0, start)
-    if not mark.match(body, start):
-        first_line = body[start : body.find(b"\n", start)]
-        problems.add(
-            f"line {line - 1}: {_shown(first_line)}",
-            expected=f"{CURVE_BEGIN} or the number 0 of a curve",
-            code="row-unreadable",
-        )
-    elif len(marks) != count:
-        problems.add(
-            f"{len(marks)} curves",
-            expected=f"{count}, as line 1 says",
-            mend="check whether the file is cut off",
-            code="length-mismatch",
-        )
-    problems.raise_if_any()
+    first_line = body[start : body.find(b"\n", start)]
+    begins_right = mark.match(body, start) is not None
+    problems.raise_if_any(
+        (
+            not begins_right,
+            Problem(
+                f"line {line - 1}: {_shown(first_line)}",
+                expected=f"{CURVE_BEGIN} or the number 0 of a curve",
+                code="row-unreadable",
+            ),
+        ),
+        (
+            begins_right and len(marks) != count,
+            Problem(
+                f"{len(marks)} curves",
+                expected=f"{count}, as line 1 says",
+                mend="check whether the file is cut off",
+                code="length-mismatch",
+            ),
+        ),
+    )
     curves = []
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
     for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):

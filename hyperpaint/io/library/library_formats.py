@@ -472,21 +472,17 @@ def open_library(
         options.refuse_for(str(path))
         # Lazy library from the root group of a Zarr store
         groups = list_groups(path)
-        if "" not in groups:
-            addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
-            raise FormatError(
-                f"{path} holds no paint library at its root (groups: {addresses})",
-                mend="extract one with hyperpaint signatures; hyperpaint.io.write_envi writes cubes",
-                code="library-missing",
-            )
+        addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
+        FormatError.raise_if(
+            "" not in groups,
+            f"{path} holds no paint library at its root (groups: {addresses})",
+            mend="extract one with hyperpaint signatures; hyperpaint.io.write_envi writes cubes",
+            code="library-missing",
+        )
         library = with_new_names(open_store(path, ""))
-        rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
-        missing = [name for name in rows if name not in library.variables]
-        dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
-        if missing or any(dim_problems):
-            texts = [str(problem) for problem in dim_problems if problem]
-            reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
-            raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
+        rows = [row for row in _structure(library) if row[0] and row[1] == "structure"]
+        reasons = "; ".join(f"{found}, expected {expected}" for _, _, found, expected in rows)
+        FormatError.raise_if(rows, f"{path} holds no paint library: {reasons}", code="library-missing")
         return library
     files = find_paths(
         path,
@@ -634,30 +630,29 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     # One library from several files, with the file of every paint in the coordinate `file`
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
-    problems = Problems("the files cannot be joined to one library", FormatError)
 
     def grid(library: xr.Dataset) -> str:
         nm = library["wavelength"].values
         return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
 
-    for path, library in opened:
-        problems.add_if(
-            not np.array_equal(library["wavelength"].values, first["wavelength"].values),
-            f"{path.name} has {grid(library)}",
-            expected=f"{grid(first)} as in {first_path.name}",
-            code="grid-mismatch",
-        )
-        plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
-        problems.add_if(
-            variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims),
-            f"{path.name} has {', '.join(variables)}",
-            expected="one spectrum per paint",
-            mend="open this file alone",
-            code="library-not-plain",
-        )
-        if len(problems) >= _MAX_SHOWN_DIFFERENCES:
-            break
-    problems.raise_if_any()
+    with Problems("the files cannot be joined to one library", FormatError) as problems:
+        for path, library in opened:
+            problems.add_if(
+                not np.array_equal(library["wavelength"].values, first["wavelength"].values),
+                f"{path.name} has {grid(library)}",
+                expected=f"{grid(first)} as in {first_path.name}",
+                code="grid-mismatch",
+            )
+            plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
+            problems.add_if(
+                variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims),
+                f"{path.name} has {', '.join(variables)}",
+                expected="one spectrum per paint",
+                mend="open this file alone",
+                code="library-not-plain",
+            )
+            if len(problems) >= _MAX_SHOWN_DIFFERENCES:
+                break
     notes = list(dict.fromkeys(text for library in libraries if (text := library.attrs.get("notes"))))
     variables_by_name: dict[Any, xr.Variable] = {}
     for name in dict.fromkeys(name for library in libraries for name in library.variables):
@@ -1014,15 +1009,10 @@ _Row = tuple[bool, str, str, str]
 def _structure(library: xr.Dataset) -> Iterator[_Row]:
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
-        problem = row.dim_problem(library[name]) if name in library.variables else None
-        is_missing = name not in library.variables
-        found = problem.found if problem else f"{name!r} is missing"
-        yield (
-            is_missing or problem is not None,
-            "structure",
-            found,
-            f"a variable {name} ({', '.join(row.dims)})",
-        )
+        missing = Problem(f"{name!r} is missing", code="variable-missing")
+        problem = row.dim_problem(library[name]) if name in library.variables else missing
+        found = "" if problem is None else problem.found
+        yield problem is not None, "structure", found, f"a variable {name} ({', '.join(row.dims)})"
     for name, row in LIBRARY_VARIABLES.items():
         if name in library.variables and name not in (CENTRE, "wavelength", SIGNATURE):
             dims = library[name].dims

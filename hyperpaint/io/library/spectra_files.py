@@ -195,28 +195,33 @@ def text_column(texts: Sequence[str]) -> Array:
 def check_wavelengths(wavelength: Floats, source: str) -> None:
     # Check that there are wavelengths [nm], within the range and without duplicates.
     # Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or duplicate.
-    description = f"{wavelength.size} wavelengths, not all of them finite"
-    if wavelength.size and np.isfinite(wavelength).all():
-        low, high = float(wavelength.min()), float(wavelength.max())
-        if low >= MIN_NM and high <= MAX_NM:
-            values, counts = np.unique(wavelength, return_counts=True)
-            if not (counts > 1).any():
-                return
-            raise FormatError(
-                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
-                f"{values[counts > 1][0]:g} nm",
+    is_known = wavelength.size and np.isfinite(wavelength).all()
+    low, high = (float(wavelength.min()), float(wavelength.max())) if is_known else (np.nan, np.nan)
+    hint = " (nanometres declared as micrometres?)" if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3 else ""
+    values, counts = np.unique(wavelength, return_counts=True)
+    repeated = values[counts > 1].tolist()
+    refuse(
+        source,
+        (
+            not (low >= MIN_NM and high <= MAX_NM),
+            Problem(
+                f"wavelengths from {low:g} to {high:g} nm{hint}"
+                if is_known
+                else f"{wavelength.size} wavelengths, not all of them finite",
+                expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
+                mend="check their units, or pass wavelength= [nm]",
+                code="wavelength-range",
+            ),
+        ),
+        (
+            repeated,
+            Problem(
+                f"{len(repeated)} wavelengths occur twice, such as {sum(repeated[:1]):g} nm",
                 expected="distinct wavelengths",
                 mend="drop one of the two bands",
                 code="wavelength-duplicate",
-            )
-        description = f"wavelengths from {low:g} to {high:g} nm"
-        if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3:
-            description += " (nanometres declared as micrometres?)"
-    raise FormatError(
-        f"{source}: {description}",
-        expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
-        mend="check their units, or pass wavelength= [nm]",
-        code="wavelength-range",
+            ),
+        ),
     )
 
 
@@ -266,36 +271,44 @@ def reflectances(
             "pass scale=100 (hp.open_library) for percent, 10000 for hundredths of a percent, or scale=1 if "
             "values are fractions"
         )
-        if magnitudes.size and float(np.median(magnitudes)) > _PLAUSIBLE.max_median:
-            raise FormatError(
-                f"{source}: values up to {magnitudes.max():g}, half of them above "
-                f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
-                expected="reflectance as a fraction",
-                mend=advice,
-                code="scale-missing",
-            )
+        largest = magnitudes.max(initial=0.0)
+        median = float(np.median(magnitudes)) if magnitudes.size else 0.0
         with np.errstate(invalid="ignore"):
             is_bright = (np.abs(values) > _PLAUSIBLE.bright).sum(axis=1) > max_bright_share * np.maximum(
                 finite.sum(axis=1), 1
             )
-        if 2 * is_bright.sum() > len(values):
-            raise FormatError(
-                f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_PLAUSIBLE.bright:g} "
-                "(radiance?)",
-                expected="reflectance as a fraction",
-                mend=f"{advice} (for a text: quantity='reflectance')",
-                code="scale-missing",
-            )
+        refuse(
+            source,
+            (
+                median > _PLAUSIBLE.max_median,
+                Problem(
+                    f"values up to {largest:g}, half of them above {median:g}, and no scale (radiance or "
+                    "counts?)",
+                    expected="reflectance as a fraction",
+                    mend=advice,
+                    code="scale-missing",
+                ),
+            ),
+            (
+                2 * is_bright.sum() > len(values),
+                Problem(
+                    f"values up to {largest:g}, more than a tenth above {_PLAUSIBLE.bright:g} (radiance?)",
+                    expected="reflectance as a fraction",
+                    mend=f"{advice} (for a text: quantity='reflectance')",
+                    code="scale-missing",
+                ),
+            ),
+        )
         is_bright = is_bright | [
             bool(is_finite.any()) and float(np.median(spectrum[is_finite])) > _PLAUSIBLE.max_median
             for spectrum, is_finite in zip(values, finite, strict=True)
         ]
-        if is_bright.any():
-            warn_user(
-                f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
-                f"{_PLAUSIBLE.max_median:g}, up to {magnitudes.max():g}, and no scale; {advice}",
-                "scale-missing",
-            )
+        warn_if(
+            is_bright.any(),
+            f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
+            f"{_PLAUSIBLE.max_median:g}, up to {largest:g}, and no scale; {advice}",
+            "scale-missing",
+        )
     elif divisor != 1.0:
         values /= divisor
         finite = values[np.isfinite(values)]
@@ -825,13 +838,12 @@ def _with_metadata(
                 code="grid-mismatch",
             )
     own_coords = {name: coord for name, coord in coords.items() if name not in library.variables}
-    try:
+    with FormatError.instead_of(  # sizes or dims differ
+        ValueError,
+        f"{source} and its metadata belong to different libraries: $error",
+        code="grid-mismatch",
+    ):
         return library.assign(spectra).assign_coords(own_coords)
-    except ValueError as error:  # sizes or dims differ
-        problem = Problem(f"{error!s:.200}", code="grid-mismatch")
-        raise FormatError(
-            f"{source} and its metadata belong to different libraries", problems=[problem]
-        ) from error
 
 
 # --- files -------------------------------------------------------------------------------------------------
@@ -1254,15 +1266,15 @@ def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[I
     # below the other. Warns PaintWarning: Values were averaged.
     starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)  # first rows of equal wavelengths
     distant_share = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    repeats = wavelength.size - np.unique(wavelength).size
     adjacent = wavelength.size - starts.size
-    if distant_share > _TABLE.max_repeats or 2 * adjacent >= wavelength.size:
-        repeats = wavelength.size - np.unique(wavelength).size
-        raise FormatError(
-            f"{source}: {repeats} of {wavelength.size} wavelengths occur twice",
-            expected="one row per wavelength, and one column per spectrum",
-            mend="put spectra side by side, or write wavelengths with more digits",
-            code="wavelength-duplicate",
-        )
+    FormatError.raise_if(
+        distant_share > _TABLE.max_repeats or 2 * adjacent >= wavelength.size,
+        f"{source}: {repeats} of {wavelength.size} wavelengths occur twice",
+        expected="one row per wavelength, and one column per spectrum",
+        mend="put spectra side by side, or write wavelengths with more digits",
+        code="wavelength-duplicate",
+    )
     if not adjacent:
         return starts, values, []
     counts = np.diff(np.append(starts, wavelength.size))
@@ -1516,14 +1528,12 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
     code = next((code for code in _SPECTROMETERS if spectrometer.upper().startswith(code)), None)
     if len(axes) > 1 and code:
         axes = {file: axis for file, axis in axes.items() if code in file.name.upper()} or axes
-    if len({values.tobytes() for values, _ in axes.values()}) > 1:
-        listed = ", ".join(sorted(file.name for file in axes))
-        option = "wavelength=" if kind == "wave" else "fwhm="
-        raise FormatError(
-            f"{path.name}: {listed} have {count} values each",
-            mend=f"pass the file of this spectrum as {option}",
-            code="wavelength-ambiguous",
-        )
+    FormatError.raise_if(
+        len({values.tobytes() for values, _ in axes.values()}) > 1,
+        f"{path.name}: {', '.join(sorted(file.name for file in axes))} have {count} values each",
+        mend=f"pass the file of this spectrum as {'wavelength=' if kind == 'wave' else 'fwhm='}",
+        code="wavelength-ambiguous",
+    )
     for file, (values, note) in axes.items():
         notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
         return values
@@ -1596,22 +1606,20 @@ def in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, s
     # Return wavelengths [nm], and a note if their unit is inferred.
     # text: Description of the wavelengths in the file; may be empty. wavelength: Wavelengths in the file's
     # unit. Raises FormatError: The text names another unit, such as wavenumbers.
-    factor, note = 1.0, ""
-    if _MICROMETRE.search(text):
-        factor = 1e3
-    elif _ANGSTROM.search(text):
-        factor = 0.1
-    elif not _NANOMETRE.search(text):
-        if other_unit := WAVENUMBER.search(text):
-            raise FormatError(
-                f"{source}: the unit of the first column is {other_unit[0]!r}",
-                expected="nm or um",
-                mend="pass wavelength=",
-                code="units-unknown",
-            )
-        note = "no wavelength units: values taken as nanometres"
-        if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
-            factor, note = 1e3, "no wavelength units: values below 100 taken as micrometres"
+    units = ((_MICROMETRE, 1e3), (_ANGSTROM, 0.1), (_NANOMETRE, 1.0))
+    factor, note = next((factor for unit, factor in units if unit.search(text)), 0.0), ""
+    if not factor:
+        other_unit = WAVENUMBER.search(text)
+        FormatError.raise_if(
+            other_unit,
+            f"{source}: the unit of the first column is {other_unit and other_unit[0]!r}",
+            expected="nm or um",
+            mend="pass wavelength=",
+            code="units-unknown",
+        )
+        is_small = wavelength.size and float(np.nanmax(wavelength)) < 100.0
+        factor, taken = (1e3, "below 100 taken as micrometres") if is_small else (1.0, "taken as nanometres")
+        note = f"no wavelength units: values {taken}"
     with np.errstate(over="ignore"):  # overflow of a damaged file becomes infinity, a later error
         nanometres: Floats = wavelength * factor
     return nanometres, note

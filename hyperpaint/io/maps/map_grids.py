@@ -737,13 +737,13 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     # Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
     # installed.
     grid = required_grid(dataset)
-    if grid.wkt is None or "line_time" not in dataset.variables:
-        missing = "reference system" if grid.wkt is None else "line_time"
-        raise SchemaError(
-            f"a STAC item needs position and time, and this map has no {missing}",
-            mend="orthorectify a line that has both, with line_time among the variables",
-            code="variable-missing",
-        )
+    missing = "reference system" if grid.wkt is None else "line_time"
+    SchemaError.raise_if(
+        grid.wkt is None or "line_time" not in dataset.variables,
+        f"a STAC item needs position and time, and this map has no {missing}",
+        mend="orthorectify a line that has both, with line_time among the variables",
+        code="variable-missing",
+    )
     with needs_extra("pyproj", "geo", "a STAC item"):
         import pyproj
     (x, y), place = _corners_and_place(dataset, grid)
