@@ -367,11 +367,12 @@ def groups_to_show(
             code="library-missing",
         )
         libraries[Path(signatures).name] = library
-    if not lines and not libraries and not maps:
-        reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"
-        raise StoreError(
-            f"{store} has no flight line, map or signatures to show: {reason}", code="store-empty"
-        )
+    reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"
+    StoreError.raise_if(
+        not lines and not libraries and not maps,
+        f"{store} has no flight line, map or signatures to show: {reason}",
+        code="store-empty",
+    )
     return ShownGroups(groups, lines, maps, libraries, problems)
 
 

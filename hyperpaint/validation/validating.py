@@ -19,7 +19,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
@@ -850,14 +849,13 @@ def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[
         expected="a Dataset",
         code="type-wrong",
     )
-    if "reflectance" not in dataset.data_vars:
-        variables = ", ".join(map(str, dataset.data_vars)) or "nothing"
-        raise SchemaError(
-            f"holds {variables}",
-            expected="reflectance",
-            mend="open it with quantity='reflectance'",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        "reflectance" not in dataset.data_vars,
+        f"holds {', '.join(map(str, dataset.data_vars)) or 'nothing'}",
+        expected="reflectance",
+        mend="open it with quantity='reflectance'",
+        code="variable-missing",
+    )
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
         return _library_spectra(dataset, number, fwhm, "library")
@@ -982,7 +980,9 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
     # number of every channel's detector, in the order of the file; None where it is not stated
     detectors = None
     if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
-        detectors = pd.factorize(dataset["detector"].values.astype(str))[0]
+        names = [str(name) for name in dataset["detector"].values]
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        detectors = np.array([numbers[name] for name in names], np.intp)
     channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
@@ -1933,19 +1933,20 @@ def validate(
     user_parts = parts is not None
     parts = PARTS if parts is None else parts
     problems = Problems("parts= cannot be used", SchemaError)
-    if not isinstance(parts, Mapping) or not parts:
-        problems.add(
-            f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
-        )
-        problems.raise_if_any()
-    problems.extend(
-        Problem(
-            f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm], in order", code="type-wrong"
-        )
-        for name, edges in parts.items()
-        if len(tuple(edges)) != 2 or not edges[0] < edges[1]
+    of_all = Problem(
+        f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
     )
-    problems.raise_if_any()
+    problems.raise_if_any((not isinstance(parts, Mapping) or not parts, of_all))
+    expected = "first and last wavelength [nm], in order"
+    problems.raise_if_any(
+        *(
+            (
+                len(tuple(edges)) != 2 or not edges[0] < edges[1],
+                Problem(f"{name!r}: {edges!r:.60}", expected=expected, code="type-wrong"),
+            )
+            for name, edges in parts.items()
+        )
+    )
     # spectra of spectrometer datasets and paint libraries
     datasets = [references] if hasattr(references, "data_vars") else references
     if isinstance(datasets, Mapping):
@@ -1964,13 +1965,16 @@ def validate(
             spectra += _dataset_spectra(dataset, number, reference_fwhm)
         except (SchemaError, UnitsError) as error:
             problems.add_error(f"reference {number}", error)
-    problems.add_if(
-        not spectra and not problems,
-        "references= is empty",
-        mend="open references with open_svc, open_asd or open_library",
-        code="empty-input",
+    problems.raise_if_any(
+        (
+            not spectra and not problems,
+            Problem(
+                "references= is empty",
+                mend="open references with open_svc, open_asd or open_library",
+                code="empty-input",
+            ),
+        )
     )
-    problems.raise_if_any()
     # serial numbers distinguish several instruments of one make
     serials = grouped((spectrum.instrument, spectrum.serial) for spectrum in spectra)
     reference_spectra = [

@@ -232,16 +232,14 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     for time in times:
         local = time
         if isinstance(time, LocalStamp):
-            read = time.read(order if time.slashes else None)
-            if read is None:
-                both = sorted(f"{each:%Y-%m-%d}" for each in (time.day_first, time.month_first) if each)
-                raise FormatError(
-                    f"{name}: a date is {' or '.join(both)}",
-                    expected="an order of day and month that the file decides",
-                    mend="write ISO 8601, such as 2024-06-01T10:00:00Z",
-                    code="date-ambiguous",
-                )
-            local = read
+            both = sorted(f"{each:%Y-%m-%d}" for each in (time.day_first, time.month_first) if each)
+            local = FormatError.raise_if_none(
+                time.read(order if time.slashes else None),
+                f"{name}: a date is {' or '.join(both)}",
+                expected="an order of day and month that the file decides",
+                mend="write ISO 8601, such as 2024-06-01T10:00:00Z",
+                code="date-ambiguous",
+            )
         assert isinstance(local, dt.datetime)
         stamps.append(local.replace(tzinfo=zone) if local.tzinfo is None and zone else local)
     width_text = comments.get("fwhm_nm")
@@ -571,13 +569,13 @@ def open_irradiance(
     with np.errstate(over="ignore"):
         values: Floats = raw * factor
     is_overflow = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
-    if is_overflow.any():
-        sources_text = listed([series.sources[number] for number in order[is_overflow.any(axis=1)]])
-        raise FormatError(
-            f"irradiance up to {np.abs(raw[is_overflow]).max():.3g} {series.units}: {sources_text}",
-            mend="check whether the file is damaged",
-            code="value-out-of-range",
-        )
+    sources_text = listed([series.sources[number] for number in order[is_overflow.any(axis=1)]])
+    FormatError.raise_if(
+        is_overflow.any(),
+        f"irradiance up to {np.abs(raw[is_overflow]).max(initial=0.0):.3g} {series.units}: {sources_text}",
+        mend="check whether the file is damaged",
+        code="value-out-of-range",
+    )
     faults = str(series.attrs.get(FAULTS_ATTR, ""))
     if not faults:  # a record that was opened before is judged
         clipped = None if series.clipped is None else series.clipped[order]
@@ -600,20 +598,18 @@ def open_irradiance(
         f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
         "irradiance-dim",
     )
-    if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
-        direction = (
-            f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
-            if brightest > HIGHEST_MEDIAN
-            else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
-        )
-        raise UnitsError(
-            f"{median}, {direction}",
-            mend=(
-                f"check for other units ({slip or 'uW labelled as W?'}) or another quantity, such as counts; "
-                "pass units=, or convert the values"
-            ),
-            code="irradiance-implausible",
-        )
+    direction = (
+        f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
+        if brightest > HIGHEST_MEDIAN
+        else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
+    )
+    UnitsError.raise_if(
+        brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN,
+        f"{median}, {direction}",
+        mend=f"check for other units ({slip or 'uW labelled as W?'}) or another quantity, such as counts; "
+        "pass units=, or convert the values",
+        code="irradiance-implausible",
+    )
     dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
     if uncertainty_s is not None:

@@ -406,13 +406,13 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     """
     path = as_path(path)
     data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
-    if (dialect := dialect_of(data[:200])) is None:
-        ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
-        raise FormatError(
-            f"{path.name}: begins with {data[:24]!r}{ger_hint}",
-            expected=" or ".join(dialect.begins for dialect in DIALECTS),
-            code="format-unknown",
-        )
+    ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
+    dialect = FormatError.raise_if_none(
+        dialect_of(data[:200]),
+        f"{path.name}: begins with {data[:24]!r}{ger_hint}",
+        expected=" or ".join(dialect.begins for dialect in DIALECTS),
+        code="format-unknown",
+    )
     lines = text_lines(data)
     # the header: values by key, up to the line before the rows
     header: dict[str, str] = {}
