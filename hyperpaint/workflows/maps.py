@@ -180,11 +180,12 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     # Raises `SchemaError` if the store has no named flight lines, or lacks one of ``names``.
     stored = lines_of_store(store)
     absent = [name for name in names if name not in stored]
-    if absent or not stored:
-        expected, lacking = ", ".join(stored) or "none", ", ".join(absent) or "named line"
-        raise SchemaError(
-            f"{store} has no {lacking}", expected=f"flight lines {expected}", code="flightline-unknown"
-        )
+    SchemaError.raise_if(
+        absent or not stored,
+        f"{store} has no {', '.join(absent) or 'named line'}",
+        expected=f"flight lines {', '.join(stored) or 'none'}",
+        code="flightline-unknown",
+    )
     lines = {name: open_store(store, f"{LINES}{name}") for name in names or stored}
     location = {name: options.pop(name) for name in LOCATION & set(options)}
     # all lines were flown with the same camera
@@ -302,14 +303,13 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
         code="flightline-unknown",
     )
     name = lines[0] if line is None and len(lines) == 1 else line
-    if lines and name not in lines:
-        problem = "several flight lines" if line is None else f"no flight line {line!r}"
-        raise SchemaError(
-            f"{store} has {problem}",
-            expected=f"one of {', '.join(map(repr, lines))}",
-            mend="pass line=",
-            option="pass --line",
-            code="flightline-unknown",
-        )
+    SchemaError.raise_if(
+        lines and name not in lines,
+        f"{store} has {'several flight lines' if line is None else f'no flight line {line!r}'}",
+        expected=f"one of {', '.join(map(repr, lines))}",
+        mend="pass line=",
+        option="pass --line",
+        code="flightline-unknown",
+    )
     flightline: xr.Dataset = open_store(store, f"{LINES}{name}" if lines else "")
     return flightline

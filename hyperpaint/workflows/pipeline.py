@@ -51,6 +51,7 @@ from hyperpaint.base import (
     FormatError,
     PaintError,
     PaintWarning,
+    Problem,
     Problems,
     SchemaError,
     StoreError,
@@ -164,17 +165,16 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     # inputs.
     output = out.resolve()
     inputs = (as_path(origin_of(path)).resolve() for path in paths_in(settings))
-    problems = Problems(
+    with Problems(
         f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
-    )
-    for path in dict.fromkeys(inputs):
-        relation = "is" if output == path else "holds" if output in path.parents else "lies in"
-        problems.add_if(
-            relation != "lies in" or (path in output.parents and path.is_dir()),
-            f"it {relation} {path}, an input",
-            code="output-is-input",
-        )
-    problems.raise_if_any()
+    ) as problems:
+        for path in dict.fromkeys(inputs):
+            relation = "is" if output == path else "holds" if output in path.parents else "lies in"
+            problems.add_if(
+                relation != "lies in" or (path in output.parents and path.is_dir()),
+                f"it {relation} {path}, an input",
+                code="output-is-input",
+            )
 
 
 def finishing_command(command: str, options: Mapping[str, Any]) -> str:
@@ -687,14 +687,17 @@ def run(
             expected=f"a list of some of {', '.join(KINDS)}",
             code="choice-unknown",
         )
-    problems.add_if(
-        flags and to == "radiance",
-        "flags need reflectance",
-        mend="leave out flags=True, or to='radiance'",
-        option="leave out --flags, or --to radiance",
-        code="option-conflict",
+    problems.raise_if_any(
+        (
+            flags and to == "radiance",
+            Problem(
+                "flags need reflectance",
+                mend="leave out flags=True, or to='radiance'",
+                option="leave out --flags, or --to radiance",
+                code="option-conflict",
+            ),
+        )
     )
-    problems.raise_if_any()
     check_codec(codec)
     out = as_path(out)
     limit = None if memory_limit is None else parse_size(memory_limit)

@@ -388,14 +388,18 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         )
     lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
     bands = scene_file.camera.get("bands", SimulationSettings.bands)
-    problems.add_if(
-        lines * columns * bands > _MAX_VALUES,
-        f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
-        expected=f"at most {_MAX_VALUES:.0e}",
-        mend="cut the flight into several",
-        code="cube-too-large",
+    problems.raise_if_any(
+        (
+            lines * columns * bands > _MAX_VALUES,
+            Problem(
+                f"{lines} lines x {columns} columns x {bands} bands are "
+                f"{lines * columns * bands:.1e} samples",
+                expected=f"at most {_MAX_VALUES:.0e}",
+                mend="cut the flight into several",
+                code="cube-too-large",
+            ),
+        )
     )
-    problems.raise_if_any()
     return scene_file
 
 
