@@ -32,7 +32,6 @@ from hyperpaint.base import (
     OUTSIDE,
     SIGNATURE,
     THROUGH_COAT,
-    Array,
     Bools,
     Floats,
     Indices,
@@ -265,25 +264,23 @@ class Validation:
         failures = []
         paints, references, instruments = map(self._texts, ("signature", "reference", "instrument"))
         for row, within in enumerate(self.statistics["passes"].values):
-            texts = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
+            # names of parts, with the reason where one cannot be judged
+            texts = []
+            for column in np.flatnonzero(~within).tolist():
+                cell = self.statistics.isel(pair=row, part=column)
+                count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
+                level, limit = float(cell["level"]), float(cell["rmse_limit"])
+                reason = cell["exclusion"].item() or (
+                    f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+                    if limit > MAX_TOLERANCE_SHARE * level
+                    else f"{count} of {count + excluded} bands, too few to judge"
+                )
+                part = str(cell["part"].item())
+                texts.append(part if cell["judged"] else f"{part} ({reason})")
             if texts:
                 pair = f"{paints[row]} against {references[row]} of {instruments[row]}"
                 failures.append(f"{pair}: {', '.join(texts)}")
         return (*failures, *(f"{name}: its reference is missing" for name in self.missing))
-
-    def _failure(self, row: int, column: int) -> str:
-        # Name of a part, with the reason where it cannot be judged
-        cell = self.statistics.isel(pair=row, part=column)
-        count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
-        if cell["judged"]:
-            return str(cell["part"].item())
-        level, limit = float(cell["level"]), float(cell["rmse_limit"])
-        reason = cell["exclusion"].item() or (
-            f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
-            if limit > MAX_TOLERANCE_SHARE * level
-            else f"{count} of {count + excluded} bands, too few to judge"
-        )
-        return f"{cell['part'].item()} ({reason})"
 
     @property
     def verdict(self) -> str:
@@ -804,42 +801,10 @@ def join_detectors(
     return channels, number, tuple(joins)
 
 
-def channel_widths(wavelength: Floats, detector: Array, instrument: str) -> tuple[Floats, str]:
-    # Return usual widths of channels for data that do not state them, and the source of these widths.
-    # ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
-    # ``instrument``: name of the instrument in the data.
-    # Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
-    lowered = instrument.lower()
-    for make, names in _NAMES.items():
-        if any(name in lowered for name in names):
-            has_detectors = detector.max() > 0 and wavelength[0] < _DETECTOR_EDGES_NM[0]
-            number = detector if has_detectors else np.searchsorted(_DETECTOR_EDGES_NM, wavelength, "right")
-            widths = np.array(_WIDTHS_NM[make])[np.minimum(number, len(_DETECTOR_EDGES_NM))]
-            return widths, f"widths of channels as usual for {make.upper()}"
-    return (
-        (np.ones(wavelength.size), "widths of channels assumed, 1 nm")
-        if wavelength.size < 2
-        else (2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance")
-    )
-
-
 UNKNOWN = "unknown"
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
 #: Range of plausible channel widths: minimum [nm], and maximum in distances of channels.
 _MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0
-
-
-def signatures_from(signatures: xr.Dataset) -> list[Measured]:
-    # Return the spectra of a paint library; bad bands are NaN.
-    # Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
-    # cannot be read.
-    SchemaError.raise_if(
-        not hasattr(signatures, "data_vars"),
-        f"signatures are {type(signatures).__name__}",
-        expected="a paint library (xarray.Dataset)",
-        code="type-wrong",
-    )
-    return list(_library_spectra(signatures, 0, None, "band"))
 
 
 def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
@@ -1100,7 +1065,19 @@ class _Channels:
             if np.isfinite(fwhm).all() and (fwhm > 0).all():
                 _check_widths(fwhm, nm_sorted)
                 return cls(order, nm_sorted, fwhm, tuple(notes))
-        fwhm, source = channel_widths(nm_sorted, number if detector is None else detector[order], instrument)
+        # usual widths for data that do not state them, and their source
+        number = number if detector is None else detector[order]
+        lowered = instrument.lower()
+        make = next((make for make, names in _NAMES.items() if any(name in lowered for name in names)), "")
+        if make:
+            has_detectors = number.max() > 0 and nm_sorted[0] < _DETECTOR_EDGES_NM[0]
+            number = number if has_detectors else np.searchsorted(_DETECTOR_EDGES_NM, nm_sorted, "right")
+            fwhm = np.array(_WIDTHS_NM[make])[np.minimum(number, len(_DETECTOR_EDGES_NM))]
+            source = f"widths of channels as usual for {make.upper()}"
+        elif nm_sorted.size < 2:
+            fwhm, source = np.ones(nm_sorted.size), "widths of channels assumed, 1 nm"
+        else:
+            fwhm, source = 2.0 * np.gradient(nm_sorted), "widths of channels assumed, twice their distance"
         return cls(order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
@@ -1535,14 +1512,6 @@ class Compared:
     def coverage(self) -> Floats:
         # Part of each band's response covered by the channels of all spectra (band,)
         return np.asarray(np.min([operator.coverage for operator in self.operators], axis=0))
-
-    @property
-    def ranges(self) -> str:
-        # Wavelength ranges of all spectra, as text
-        return ", ".join(
-            f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
-            for spectrum in (self.pair.signature, *self.pair.references)
-        )
 
     @property
     def exclusion(self) -> str:
@@ -1985,8 +1954,15 @@ def validate(
     ]
     if panel is not None:
         reference_spectra = scaled_by_panel(reference_spectra, panel, panel_surface)
+    SchemaError.raise_if(
+        not hasattr(signatures, "data_vars"),
+        f"signatures are {type(signatures).__name__}",
+        expected="a paint library (xarray.Dataset)",
+        code="type-wrong",
+    )
+    paints = list(_library_spectra(signatures, 0, None, "band"))
     matched, unpaired_signatures, unpaired_references, missing = paired(
-        signatures_from(signatures), reference_spectra, pairs, place_accuracy
+        paints, reference_spectra, pairs, place_accuracy
     )
     compared = [compare(pair, seed) for pair in matched]
     # references of one paint, measured by two instruments, against one another
@@ -1997,15 +1973,15 @@ def validate(
     ]
     between = [comparison for comparison in between if comparison.used.any()]
     with Problems("pairs have no band in common", SchemaError) as problems:
-        problems.extend(
-            Problem(
-                f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
-                f"({comparison.ranges})",
+        for comparison in (comparison for comparison in compared if not comparison.used.any()):
+            ranges = ", ".join(
+                f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
+                for spectrum in (comparison.pair.signature, *comparison.pair.references)
+            )
+            problems.add(
+                f"{comparison.pair.signature.name!r}: paint and reference share no complete band ({ranges})",
                 code="range-disjoint",
             )
-            for comparison in compared
-            if not comparison.used.any()
-        )
     # a text where repeated readings scatter by more than the tolerance of their mean
     scatters: list[list[str]] = []
     for comparison in compared:

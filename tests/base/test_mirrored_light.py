@@ -10,7 +10,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.dirsig_writing import Coats, PaintCurves
 from hyperpaint.paints.paint_libraries import coating_of
-from hyperpaint.validation.validating import signatures_from
+from hyperpaint.validation.validating import _library_spectra
 
 CASES = [
     ({}, False, None),
@@ -47,7 +47,7 @@ def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str
     assert attrs["mirror_reflection"] == (expected or INCLUDED)
     assert attrs["mirror_reflection_source"].startswith("stated") == (expected is not None)
     assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
-    assert signatures_from(paints)[0].mirror == (expected or "unknown")
+    assert next(_library_spectra(paints, 0, None, "band")).mirror == (expected or "unknown")
 
 
 def test_the_word_may_stand_at_the_library() -> None:

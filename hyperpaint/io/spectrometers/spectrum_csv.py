@@ -89,7 +89,26 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
                     problems.raise_if_any()
         table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
         if has_units:
-            column, headings_above = _value_column(headings_above, dialect[0], table.shape[1], path)
+            # the column of reflectance, the only one that is no uncertainty, and the headings of two columns
+            column, count, mark = 1, table.shape[1], dialect[0]
+            if count > 2:
+                cells = [re.split(re.escape(mark) if mark else r" {2,}|\t", line) for line in headings_above]
+                cells = [line for line in cells if len(line) == count]
+                columns = [
+                    at
+                    for at in range(1, count)
+                    if cells and not any(_UNCERTAINTY_WORDS.search(line[at].lower()) for line in cells)
+                ]
+                FormatError.raise_if(
+                    len(columns) != 1,
+                    f"{path}: {count} columns, of which {len(columns) or 'an unknown number'} may be "
+                    "reflectance",
+                    expected="wavelength, reflectance, and uncertainties under headings that say so",
+                    mend="remove the others, or write headings such as 'nm,reflectance,uncertainty'",
+                    code="column-ambiguous",
+                )
+                column = columns[0]
+                headings_above = [f"{line[0].strip()}{mark or '  '}{line[column].strip()}" for line in cells]
             table = table[:, [0, column]]
             headings_above = [*comments, *headings_above]
             table[:, :1] *= _factor(headings_above, 0, path)
@@ -117,28 +136,6 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
         )
         problems.extend([problem for is_wrong, problem in checks if is_wrong][:1])
     return wavelength, values, headings_above
-
-
-def _value_column(headings: Sequence[str], separator: str, columns: int, path: Path) -> tuple[int, list[str]]:
-    # Return the column of reflectance, the only one that is no uncertainty, and the headings of two columns.
-    if columns <= 2:
-        return 1, list(headings)
-    cells = [re.split(re.escape(separator) if separator else r" {2,}|\t", line) for line in headings]
-    cells = [line for line in cells if len(line) == columns]
-    values = [
-        column
-        for column in range(1, columns)
-        if cells and not any(_UNCERTAINTY_WORDS.search(line[column].lower()) for line in cells)
-    ]
-    FormatError.raise_if(
-        len(values) != 1,
-        f"{path}: {columns} columns, of which {len(values) or 'an unknown number'} may be reflectance",
-        expected="wavelength, reflectance, and uncertainties under headings that say so",
-        mend="remove the others, or write headings such as 'nm,reflectance,uncertainty'",
-        code="column-ambiguous",
-    )
-    mark = separator or "  "
-    return values[0], [f"{line[0].strip()}{mark}{line[values[0]].strip()}" for line in cells]
 
 
 # --- certificates of panels --------------------------------------------------------------------------------
