@@ -58,9 +58,10 @@ line.paint.reflectance(uncertainly=True)
 """
 
 
-#: Other modules than the accessor and xarray are not read, which would take most of the time.
+#: Other modules than the accessor and xarray are not read, which would take most of the time. mypy strips no
+#: blanks between patterns.
 MYPY = """
-[mypy-hyperpaint.*, numpy.*, pandas.*, dask.*, zarr.*, distributed.*, pint.*, scipy.*, matplotlib.*]
+[mypy-hyperpaint.*,numpy.*,pandas.*,dask.*,zarr.*,distributed.*,pint.*,scipy.*,matplotlib.*,fsspec.*,IPython.*]
 follow_imports = skip
 ignore_missing_imports = True
 [mypy-hyperpaint.accessor]
