@@ -268,7 +268,7 @@ def sky_parts() -> tuple[np.ndarray, ...]:
     # Return the sky functions and the overcast one over a uniform sky (row, column), down to the horizon
     # The first row is the zenith, the centres of columns are halves of a step clockwise from north. The last
     # row lies on the horizon, where light ends.
-    rows, columns = 513, 2048
+    rows, columns = 257, 1024
     zenith = np.linspace(0.0, 0.5 * np.pi, rows)[:, None]
     azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi - np.radians(AZIMUTH)
     cosine = np.cos(zenith) + 0.0 * azimuth
@@ -281,7 +281,7 @@ def environment(sky: Atmosphere) -> np.ndarray:
     shares = sky.uniform, sky.overcast_share + 0.0 * sky.sky, *sky.clear_shares
     even = [at_bands(sky, sky.sky * share) / np.pi for share in shares]
     radiance = sum(part[..., None] * level for part, level in zip(sky_parts(), even, strict=True))
-    return np.pad(radiance, ((0, 512), (0, 0), (0, 0))).astype(np.float32)
+    return np.pad(radiance, ((0, 256), (0, 0), (0, 0))).astype(np.float32)
 
 
 Window = tuple[tuple[int, int], int]
