@@ -344,7 +344,7 @@ def test_every_step_computes_on_the_scheduler_of_the_command_line(client: Any, t
         "signatures": [store, "--regions", collect.with_name("regions.geojson")],
         "orthorectify": [store, "--line", "raw_0", "--out", tmp_path / "map.zarr"],
         "mosaic": [store, "--out", tmp_path / "mosaic.zarr"],
-        "report": [store, "--out", tmp_path / "report.html"],
+        "report": [store, "--line", "raw_0", "--cards", 0, "--out", tmp_path / "report.html"],
     }
     scheduler, keys = client.cluster.scheduler, dict[str, list[str]]()
     for name, words in commands.items():
