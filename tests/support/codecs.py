@@ -1,4 +1,4 @@
-"""Zarr stores of other programs, in codecs that hyperpaint reads."""
+"""Zarr stores of other programs, in codecs that hyperpaint reads; and a damaged chunk."""
 
 from pathlib import Path
 from typing import Any
@@ -13,3 +13,10 @@ def plain_zarr(dataset: xr.Dataset, path: Path | str, group: str | None = None) 
         name: {"compressors": [BloscCodec()]} for name in dataset.variables
     }
     dataset.to_zarr(path, group=group, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+
+
+def flip(path: Path) -> None:
+    # Change one bit in the middle of a file
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)

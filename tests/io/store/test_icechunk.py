@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from support.codecs import flip
 from support.refusals import expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
@@ -169,9 +170,7 @@ def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protect
     session.commit("product")
     session = repository.readonly_session("main")
     chunk = max((folder / "chunks").iterdir(), key=lambda file: file.stat().st_size)
-    damaged = bytearray(chunk.read_bytes())
-    damaged[len(damaged) // 2] ^= 4
-    chunk.write_bytes(damaged)
+    flip(chunk)
     opened = xr.open_zarr(session.store, consolidated=False)
     if protected:
         expect_error(ValueError, "checksum", lambda: opened.load())

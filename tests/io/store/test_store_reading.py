@@ -18,6 +18,7 @@ import pytest
 import xarray as xr
 import zarr
 from hypothesis import given, strategies as st
+from support.codecs import flip
 from support.painted_lines import raw
 from support.refusals import expect_error, expect_errors, refusal
 
@@ -61,12 +62,6 @@ def scene(value: int = 1, lines: int = 128) -> xr.Dataset:
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
     return to_store(scene(), tmp_path / "lot.zarr", GROUP)
-
-
-def flip(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 4
-    path.write_bytes(data)
 
 
 def cut(path: Path) -> None:

@@ -19,6 +19,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.codecs import flip
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError, StoreError
@@ -228,16 +229,10 @@ def test_other_dask_chunks(lines: int, path: Path, whole: dict[str, Any]) -> Non
     assert_whole(path, whole)
 
 
-def _flip(chunk: Path) -> None:
-    raw = bytearray(chunk.read_bytes())
-    raw[len(raw) // 2] ^= 4
-    chunk.write_bytes(raw)
-
-
 @pytest.mark.parametrize(
     "damage",
     [
-        _flip,
+        flip,
         lambda chunk: chunk.write_bytes(chunk.read_bytes()[:50]),
         lambda chunk: chunk.write_bytes(b""),
         Path.unlink,
