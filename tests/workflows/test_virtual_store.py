@@ -5,7 +5,6 @@ import os
 import re
 import shlex
 import shutil
-import uuid
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 import xarray as xr
 from support.commands import hyperpaint
 from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
+from support.servers import s3_bucket
 from support.tiny_collects import without_references
 
 import hyperpaint as hp
@@ -272,23 +272,12 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path) -> Non
 
 
 @pytest.fixture
-def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def bucket(collect: Path) -> Iterator[str]:
     # Serve a collect's files from a bucket of S3, as moto mocks it on this machine
-    moto = pytest.importorskip("moto.server", reason="moto is not installed: no bucket to read from")
-    pytest.importorskip("s3fs", reason="s3fs is not installed: fsspec reads no S3")
-    served = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
-    served.start()
-    host, port = served.get_host_and_port()
-    environment = {"AWS_ACCESS_KEY_ID": "mock", "AWS_SECRET_ACCESS_KEY": "mock", "AWS_REGION": "us-east-1"}
-    for name, value in {**environment, "AWS_ENDPOINT_URL": f"http://{host}:{port}"}.items():
-        monkeypatch.setenv(name, value)
-    s3 = fsspec.filesystem("s3", skip_instance_cache=True)
-    name = f"flights-{uuid.uuid4().hex}"  # all servers of a process share their buckets
-    s3.mkdir(name)
-    s3.put(f"{collect.parent}/", f"{name}/day/", recursive=True)
-    yield f"{name}/day"
-    served.stop()
-    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    with s3_bucket() as url:
+        home = f"{url.removeprefix('s3://')}/day"
+        fsspec.filesystem("s3").put(f"{collect.parent}/", f"{home}/", recursive=True)
+        yield home
 
 
 def test_raw_files_in_a_bucket(collect: Path, wanted: xr.Dataset, tmp_path: Path, bucket: str) -> None:
