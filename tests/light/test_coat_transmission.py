@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from oracles.disort_sky import relative_sky
+from oracles.fresnel import plain_fresnel
 from oracles.scattered_sky import sky_radiance
 
 from hyperpaint.light.coat_transmission import interface_reflectance, sky_reflectance, transmitted_share
@@ -16,18 +17,12 @@ from hyperpaint.simulation.rendering.materials import (
 )
 
 
-def plain_fresnel(angle: float, index: float) -> float:
-    # Return the mean of both polarisations by Snell's law and the tangent and sine laws
-    outside = np.radians(angle)
-    inside = np.arcsin(np.sin(outside) / index)
-    s = np.sin(outside - inside) ** 2 / np.sin(outside + inside) ** 2
-    return float(0.5 * (s + np.tan(outside - inside) ** 2 / np.tan(outside + inside) ** 2))
-
-
 @pytest.mark.parametrize("index", [1.47, 1.5, 1.55])
 def test_the_interface_is_fresnels(index: float) -> None:
     for angle in (5.0, 30.0, 56.0, 75.0, 88.0):
-        assert interface_reflectance(angle, index) == pytest.approx(plain_fresnel(angle, index), rel=1e-9)
+        assert interface_reflectance(angle, index) == pytest.approx(
+            plain_fresnel(np.radians(angle), index), rel=1e-9
+        )
     assert interface_reflectance(0.0, index) == pytest.approx(((index - 1.0) / (index + 1.0)) ** 2)
     assert sky_reflectance([550.0], None, index=index) == pytest.approx(
         hemispherical_reflectance(index), abs=2e-5
@@ -70,8 +65,8 @@ def test_the_share_under_another_reading_of_the_sky(sun: float) -> None:
     # Sums over a degree's steps of the tables' sky by splines, with Fresnel by Snell's law
     zenith, azimuth = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.0, 180.0, 2.0)))
     weight = np.cos(zenith) * np.sin(zenith)
-    lost = np.vectorize(lambda angle: plain_fresnel(angle, 1.5))(np.degrees(zenith))
-    entering = 1.0 - (plain_fresnel(sun, 1.5) if sun else 0.04)
+    lost = plain_fresnel(zenith, 1.5)
+    entering = 1.0 - plain_fresnel(np.radians(sun), 1.5)
     for nm in (450.0, 600.0, 850.0):
         sky = weight * relative_sky(nm, sun, np.cos(zenith), azimuth)
         of_sky = float((sky * lost).sum() / sky.sum())

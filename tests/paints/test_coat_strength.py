@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from oracles.disort_sky import relative_sky
+from oracles.fresnel import plain_fresnel
 from scipy.interpolate import CubicSpline
 
 import hyperpaint as hp
@@ -108,18 +109,13 @@ SUN = float(solar_position(STAMP, *PLACE)[0])
 CORNERS = [(0, 0), (0, 7), (7, 7), (7, 0)]
 
 
-def fresnel(angle: float, n: float) -> float:
-    c = np.cos(np.radians(angle))
-    t = np.sqrt(1.0 - (1.0 - c**2) / n**2)
-    return float(0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((t - n * c) / (t + n * c)) ** 2))
-
-
 def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
     # Return a coated panel under a clear sky of which the coat reflects ``sky``
     f = diffuse_fraction(NM_PAINTS, SUN)
-    share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
+    level, sunny = (plain_fresnel(angle, n) for angle in (0.0, np.radians(SUN)))
+    share = ((1.0 - f) * (1.0 - sunny) + f * (1.0 - sky)) / (1.0 - level)
     above = np.array([float(relative_sky(nm, SUN, np.array(1.0), np.array(0.0))) for nm in NM_PAINTS])
-    seen = share * body + fresnel(0.0, n) * f * above
+    seen = share * body + level * f * above
     cube = np.broadcast_to(seen[:, None].astype(np.float32), (8, NM_PAINTS.size, 8)).copy()
     rows = {name: ("along_track", np.full(8, value), {"units": "degree"})
             for name, value in zip(("latitude", "longitude"), PLACE, strict=True)}  # fmt: skip
@@ -143,7 +139,7 @@ def mean_sky(n: float) -> np.ndarray:
     zenith, azimuth = np.meshgrid(
         np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.0, 180.0, 2.0)), indexing="ij"
     )
-    lost = np.vectorize(lambda angle: fresnel(angle, n))(np.degrees(zenith[:, 0]))[:, None]
+    lost = plain_fresnel(zenith, n)
     skies = [
         np.cos(zenith) * np.sin(zenith) * relative_sky(nm, SUN, np.cos(zenith), azimuth) for nm in NM_PAINTS
     ]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
+from oracles.fresnel import plain_fresnel
 from scipy.integrate import quad
 from support.traced_scenes import FEW_BANDS, flat_light
 
@@ -47,13 +48,6 @@ GEOMETRIES = ("0/0", "0/45", "d/0")
 INDICES = st.floats(1.05, 2.6)
 
 
-def amplitudes(angle: float, index: float) -> float:
-    # Return Fresnel's reflectance by angles (sine and tangent form), an oracle of its own
-    inside = np.arcsin(np.sin(angle) / index)
-    along = np.tan(angle - inside) / np.tan(angle + inside)
-    return float(0.5 * ((np.sin(angle - inside) / np.sin(angle + inside)) ** 2 + along**2))
-
-
 def effective_factor(albedo: np.ndarray, index: float) -> np.ndarray:
     # Return rho' = b (1 - Fi) / (1 - b Fi) of a base of albedo b under a coat
     back = internal_reflectance(index)
@@ -63,7 +57,7 @@ def effective_factor(albedo: np.ndarray, index: float) -> np.ndarray:
 class TestFresnel:
     @given(st.floats(0.01, 1.5), INDICES)
     def test_equals_the_form_by_angles(self, angle: float, index: float) -> None:
-        assert_allclose(fresnel_reflectance(np.cos(angle), index), amplitudes(angle, index), rtol=1e-9)
+        assert_allclose(fresnel_reflectance(np.cos(angle), index), plain_fresnel(angle, index), rtol=1e-9)
 
     def test_at_brewsters_angle_one_polarisation_is_left(self) -> None:
         assert_allclose(
@@ -80,7 +74,7 @@ class TestFresnel:
     def test_internal_reflectance_is_the_integral_from_within(self, index: float) -> None:
         def inside(u: float) -> float:
             sine = index * np.sqrt(1.0 - u**2)
-            return 2.0 * u * (1.0 if sine >= 1.0 else amplitudes(np.arcsin(sine), index))
+            return 2.0 * u * (1.0 if sine >= 1.0 else plain_fresnel(np.arcsin(sine), index))
 
         critical = np.sqrt(1.0 - 1.0 / index**2)
         total = quad(inside, 0.0, critical)[0] + quad(inside, critical, 1.0, limit=200)[0]
@@ -201,13 +195,6 @@ def glossmeter(coat: Coat, steps: int = 75) -> float:
     seen = np.stack([np.sin(angle + a) * np.cos(b), np.sin(b), np.cos(angle + a) * np.cos(b)], axis=1)
     cell = np.cos(b) * (2 * half[0] / (2 * steps)) * (2 * half[1] / (4 * steps))
 
-    def mirrored(index: float, cosine: np.ndarray) -> np.ndarray:
-        outside = np.arccos(cosine)
-        inside = np.arcsin(np.sin(outside) / index)
-        s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
-        p = (index * np.cos(outside) - np.cos(inside)) / (index * np.cos(outside) + np.cos(inside))
-        return (s**2 + p**2) / 2
-
     flux, count = 0.0, 7
     for i in range(count):
         for j in range(count):
@@ -217,9 +204,10 @@ def glossmeter(coat: Coat, steps: int = 75) -> float:
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             tan2 = (1 - normal[:, 2] ** 2) / normal[:, 2] ** 2
             density = coat.roughness**2 / (np.pi * normal[:, 2] ** 4 * (coat.roughness**2 + tan2) ** 2)
-            brdf = mirrored(coat.index, normal @ light) * density / (4 * light[2] * seen[:, 2])
+            mirrored = plain_fresnel(np.arccos(normal @ light), coat.index)
+            brdf = mirrored * density / (4 * light[2] * seen[:, 2])
             flux += float((brdf * seen[:, 2] * cell).sum()) / count**2
-    return 100.0 * flux / float(mirrored(1.567, np.array(np.cos(angle))))
+    return 100.0 * flux / float(plain_fresnel(angle, 1.567))
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 import xarray as xr
 from oracles.disort_sky import relative_sky
+from oracles.fresnel import plain_fresnel
 from support.analytic_scenes import as_line, smooth_edge, wavelengths
 
 import hyperpaint as hp
@@ -27,18 +28,12 @@ STAMP, PLACE = np.datetime64("2024-06-21T09:10", "ns"), (50.0, 0.0)
 SUN, AZIMUTH = (float(angle) for angle in solar_position(STAMP, *PLACE))
 
 
-def fresnel(angle: float, n: float = 1.5) -> float:
-    c = np.cos(np.radians(angle))
-    t = np.sqrt(1.0 - (1.0 - c**2) / n**2)
-    return float(0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((t - n * c) / (t + n * c)) ** 2))
-
-
 def truth(sun: float, view: float, turned: float, aerosol: float, n: float = 1.5) -> np.ndarray:
     # Return what a level coat mirrors to a camera; ``turned``: azimuth from the sun to the camera
     f = diffuse_fraction(THREE_NM, sun, aerosol_optical_depth=aerosol)
     cosine, azimuth = np.cos(np.radians(view)), np.radians(180.0 - turned)
     sky = [float(relative_sky(nm, sun, cosine, azimuth, aerosol=aerosol)) for nm in THREE_NM]
-    return np.asarray(fresnel(view, n) * f * sky)
+    return np.asarray(plain_fresnel(np.radians(view), n) * f * sky)
 
 
 def split(sun: float, aerosol: float) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.typing import NDArray
+from oracles.fresnel import plain_fresnel
 from support.dirsig_exports import files, strict_ems
 from support.refusals import expect_errors
 
@@ -204,15 +205,10 @@ def beard_maxwell(fit: dict[str, float], light: NDArray[Any], view: NDArray[Any]
     beta = np.arccos(np.clip((half * light).sum(axis=-1), -1.0, 1.0))
     tilt = np.arccos(np.clip(half[..., 2], -1.0, 1.0))
 
-    def fresnel(angle: Any) -> Any:
-        inside = np.sqrt(1.0 - (np.sin(angle) / fit["N"]) ** 2)
-        across = (np.cos(angle) - fit["N"] * inside) / (np.cos(angle) + fit["N"] * inside)
-        along = (inside - fit["N"] * np.cos(angle)) / (inside + fit["N"] * np.cos(angle))
-        return 0.5 * (across**2 + along**2)
-
     obscured = np.degrees(tilt) / fit["OMEGA"]
     shadow = (1.0 + obscured * np.exp(-2.0 * np.degrees(beta) / fit["TAU"])) / (1.0 + obscured)
-    first = fresnel(beta) / fresnel(0.0) * fit["BIAS"] * np.exp(-((tilt / fit["SIGMA"]) ** 2))
+    mirrored = plain_fresnel(beta, fit["N"]) / plain_fresnel(0.0, fit["N"])
+    first = mirrored * fit["BIAS"] * np.exp(-((tilt / fit["SIGMA"]) ** 2))
     first = first * np.cos(tilt) ** 2 / (light[..., 2] * view[..., 2]) * shadow
     return np.stack([first, first + fit["RHO_D"] + 2.0 * fit["RHO_V"] / (light[..., 2] + view[..., 2])])
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.fresnel import plain_glint
 from support.transport_scenes import (
     COMPILED,
     QUAD,
@@ -30,20 +31,6 @@ SKY, OVERCAST, SUN = 0, 1, 2
 EAST = 90.0
 
 
-def glint(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    # Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents
-    # Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's
-    # angles.
-    half = (view + light) / np.linalg.norm(view + light)
-    outside = np.arccos(view @ half)
-    inside = np.arcsin(np.sin(outside) / index)
-    s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
-    p = (index * np.cos(outside) - np.cos(inside)) / (index * np.cos(outside) + np.cos(inside))
-    density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + np.tan(np.arccos(half[2])) ** 2) ** 2)
-    smith = [(np.sqrt(1 + (alpha * np.tan(np.arccos(a[2]))) ** 2) - 1) / 2 for a in (view, light)]
-    return float((s**2 + p**2) / 2 * density / (1 + sum(smith)) / (4 * view[2]))
-
-
 @pytest.mark.parametrize("alpha", [0.05, 0.1])
 @pytest.mark.parametrize("view", [(40.0, 270.0), (37.0, 270.0), (40.0, 262.0), (60.0, 270.0), (10.0, 45.0)])
 def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> None:
@@ -51,7 +38,7 @@ def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> No
     found = traced(joined(PLANE), materials((1.5, alpha)), suns(light), staring([0, 0, 0.0], towards, 4))
     irradiance = 1.3
     radiance = weight_of(found, code(SUN, mirror=True)) * irradiance / np.pi
-    np.testing.assert_allclose(radiance, glint(towards, light, 1.5, alpha) * irradiance, rtol=1e-3)
+    np.testing.assert_allclose(radiance, plain_glint(towards, light, 1.5, alpha) * irradiance, rtol=1e-3)
     if view == (40.0, 270.0) and alpha == 0.05:  # an order of magnitude above a grey paint
         assert radiance.mean() > 10 * 0.3 / np.pi * np.cos(np.radians(40)) * irradiance
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.fresnel import plain_fresnel, plain_glint
 from support.transport_scenes import COMPILED, materials
 
 from hyperpaint.simulation.rendering.materials import internal_reflectance
@@ -25,26 +26,6 @@ from hyperpaint.simulation.transport.surfaces import (
 )
 
 
-def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:
-    # Return the mean of both polarisations from Snell's angles
-    outside = np.arccos(cosine)
-    inside = np.arcsin(np.sin(outside) / index)
-    s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
-    p = (index * np.cos(outside) - np.cos(inside)) / (index * np.cos(outside) + np.cos(inside))
-    return (s**2 + p**2) / 2
-
-
-def glint_by_angles(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    # Return F D G / (4 cos_o), GGX in tangents (Walter et al. 2007; Heitz 2014, height-correlated), in the
-    # mean over lights (light, 3)
-    half = (view + light) / np.linalg.norm(view + light, axis=-1, keepdims=True)
-    up = half[..., 2]
-    density = alpha**2 / (np.pi * up**4 * (alpha**2 + ((1 - up**2) / up**2)) ** 2)
-    smith = [(np.sqrt(1 + alpha**2 * np.tan(np.arccos(side[..., 2])) ** 2) - 1) / 2 for side in (view, light)]
-    glints = fresnel_by_angles(half @ view, index) * density * (1 / (1 + sum(smith))) / (4 * view[2])
-    return float(np.mean(glints))
-
-
 def direction(zenith: float, azimuth: float = 0.0) -> tuple[float, float, float]:
     z, a = np.radians([zenith, azimuth])
     return float(np.sin(z) * np.cos(a)), float(np.sin(z) * np.sin(a)), float(np.cos(z))
@@ -64,9 +45,7 @@ def lit(
 def test_fresnel_is_the_mean_of_both_polarisations() -> None:
     for index in (1.1, 1.5, 2.4):
         for cosine in (1e-6, 0.1, 0.5, 0.9999, 1.0):
-            assert fresnel(cosine, index) == pytest.approx(
-                float(fresnel_by_angles(np.array(cosine), index)), rel=1e-9
-            )
+            assert fresnel(cosine, index) == pytest.approx(plain_fresnel(np.arccos(cosine), index), rel=1e-9)
     assert fresnel(1.0, 1.5) == pytest.approx(0.04)
 
 
@@ -106,9 +85,9 @@ def test_visible_facets_have_their_density() -> None:
 def test_the_coat_is_the_textbook_glint(zenith: float, azimuth: float) -> None:
     view, light = direction(40), direction(zenith, azimuth)
     paint = materials((1.5, 0.1))
-    expected = np.pi * glint_by_angles(np.array(view), np.array(light), 1.5, 0.1)
+    expected = np.pi * plain_glint(np.array(view), np.array(light), 1.5, 0.1)
     assert lit(paint, seen(paint, view), light)[1] == pytest.approx(expected, rel=1e-9)
-    expected = np.pi * glint_by_angles(np.array(view), np.array(light), 1.5, 0.3)
+    expected = np.pi * plain_glint(np.array(view), np.array(light), 1.5, 0.3)
     assert lit(paint, seen(paint, view, WIDENED_ALPHA), light)[1] == pytest.approx(expected, rel=1e-9)
 
 
@@ -128,7 +107,7 @@ def test_the_image_of_a_disc_is_the_mean_over_it(alpha: float, off: float, withi
     view, radius, paint = direction(30), np.radians(0.267), materials((1.5, alpha))
     middle = direction(30 + off, 180)
     points = disc_around(np.array(middle), radius, 200 if COMPILED else 10)
-    mean = glint_by_angles(np.array(view), points, 1.5, alpha)
+    mean = plain_glint(np.array(view), points, 1.5, alpha)
     assert lit(paint, seen(paint, view), middle, radius)[1] == pytest.approx(
         np.pi * mean, rel=within if COMPILED else 0.2
     )
@@ -156,7 +135,7 @@ def test_the_base_is_a_diffuse_surface_under_glass() -> None:
         view = direction(zenith)
         paint = materials((1.5, 0.001))
         base, _, flakes, recycled = lit(paint, seen(paint, view), light)
-        through = np.prod([1 - fresnel_by_angles(np.array(side[2]), 1.5) for side in (view, light)])
+        through = np.prod([1 - plain_fresnel(np.arccos(side[2]), 1.5) for side in (view, light)])
         assert base == pytest.approx(
             through / (1.5**2 * (1 - float(internal_reflectance(1.5)))) * light[2], rel=1e-5
         )
@@ -170,9 +149,9 @@ def test_flakes_are_mirrors_met_by_refracted_light() -> None:
     paint, plain = materials((1.5, 0.001), flakes=0.4), materials((1.5, 0.001))
     flat = [np.array(side[:2]) / 1.5 for side in (view, light)]
     inner = [np.append(side, np.sqrt(1 - side @ side)) for side in flat]
-    through = np.prod([1 - fresnel_by_angles(np.array(side[2]), 1.5) for side in (view, light)])
-    full = glint_by_angles(inner[0], inner[1], 1.5, 0.35) / fresnel_by_angles(
-        np.array(inner[0] @ (sum(inner) / np.linalg.norm(sum(inner)))), 1.5
+    through = np.prod([1 - plain_fresnel(np.arccos(side[2]), 1.5) for side in (view, light)])
+    full = plain_glint(inner[0], inner[1], 1.5, 0.35) / plain_fresnel(
+        np.arccos(inner[0] @ (sum(inner) / np.linalg.norm(sum(inner)))), 1.5
     )
     base, _, flakes, _ = lit(paint, seen(paint, view), light)
     assert flakes == pytest.approx(0.4 * np.pi * through / 1.5**2 * full / inner[1][2] * light[2], rel=1e-6)
