@@ -864,6 +864,12 @@ def refuse_other_labels(argument: Any, line: Any, name: str, dims: tuple[str, ..
         )
 
 
+def with_steps(sweep: xr.Dataset) -> xr.Dataset:
+    # Return a lab sweep whose dim ``step`` replaces a dim of its wavelengths, as of ``swap_dims``.
+    is_swapped = STEP not in sweep.dims and "step_wavelength" in sweep.dims
+    return sweep.rename_dims(step_wavelength=STEP) if is_swapped else sweep
+
+
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
     converted = {}
     for name in (str(name) for name in dataset.coords if name in VARIABLES):

@@ -60,7 +60,7 @@ def test_command_line(lab: Path, tmp_path: Path) -> None:
 
 def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
     out = tmp_path / "cal.zarr"
-    run(tmp_path, out, 2, "not a readable Zarr store")
+    run(tmp_path, out, 2, "no tables of a lab sweep")
     run(lab / "sweep.zarr", lab / "sweep.zarr", 2, "is the sweep itself")
     bad = xr.open_zarr(lab / "sweep.zarr", consolidated=False).drop_vars("flux")
     bad.to_zarr(tmp_path / "bad.zarr", zarr_format=3, consolidated=False)
@@ -154,7 +154,45 @@ def test_faults_of_a_table_name_row_column_and_unit(tmp_path: Path, old: str, ne
             open_sweep(EXAMPLES / "power_meter.csv")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (",", ";"),
+        (",", "\t"),
+        ("\n", ",,\n"),
+        ("\n0.5,5,4095,0", "\n,,,,,,\n0.5,5,4095,0"),
+    ],
+)
+def test_tables_of_spreadsheets(tmp_path: Path, old: str, new: str) -> None:
+    text = (EXAMPLES / "sphere_levels.csv").read_text()
+    rows = [line for line in text.splitlines() if not line.startswith("#")]
+    (tmp_path / "sphere.csv").write_text("\n".join([*rows, ""]).replace(old, new))
+    xr.testing.assert_identical(
+        open_sweep(tmp_path / "sphere.csv"), open_sweep(EXAMPLES / "sphere_levels.csv")
+    )
+    numbered = [f"{k - 1}," * (k > 0) + "," * (k == 0) + row + ",note" for k, row in enumerate(rows)]
+    (tmp_path / "pandas.csv").write_text("\n".join(numbered))
+    with pytest.warns(PaintWarning, match="'note'.*column-unknown"):
+        xr.testing.assert_identical(
+            open_sweep(tmp_path / "pandas.csv"), open_sweep(EXAMPLES / "sphere_levels.csv")
+        )
+    (tmp_path / "comma.csv").write_text("\n".join(rows).replace(",", ";").replace("0.5;", "0,5;"))
+    assert open_sweep(tmp_path / "comma.csv").level.values[0] == 0.5
+
+
+def test_stores_of_whole_counts_have_negative_differences(tmp_path: Path) -> None:
+    sphere = open_sweep(EXAMPLES / "sphere_levels.csv")
+    sphere = sphere.assign({n: sphere[n].astype("u2") for n in ("counts", "dark_counts")})
+    sphere["counts"][0, 0, 0] = 0
+    sphere = sphere.assign_coords(step_wavelength=("step", [4.0, 3, 2, 1])).swap_dims(step="step_wavelength")
+    plain_zarr(sphere, tmp_path / "u2.zarr")
+    opened = open_sweep(tmp_path / "u2.zarr")
+    assert opened.counts.dims == ("step", "band", "cross_track")
+    assert float((opened.counts - opened.dark_counts).min()) == -101.0
+
+
 def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
+    expect_refusals((FormatError, "sweep-missing", lambda: open_sweep(tmp_path)))
     expect_error(FormatError, "no such sweep", lambda: open_sweep(tmp_path / "nothing.zarr"))
     plain_zarr(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "a.zarr")
     expect_refusals((FormatError, "counts-missing", lambda: open_sweep(tmp_path / "a.zarr")))

@@ -19,6 +19,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -55,6 +56,7 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
+from hyperpaint.base.schema import with_steps
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import (
     Table,
@@ -522,16 +524,16 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     numbered = [
         (n, line)
         for n, line in enumerate(text.decode("utf-8-sig", "replace").splitlines(), 1)
-        if line.strip() and not line.startswith("#")
+        if line.strip(' \t,;"') and not line.startswith("#")
     ]
-    cells = list(csv.reader(line for _, line in numbered)) or [[]]
+    separator = max(",;\t", key=numbered[0][1].count) if numbered else ","
+    cells = list(csv.reader((line for _, line in numbered), delimiter=separator)) or [[]]
     headings = [_HEADING.findall(cell.replace("\n", " "))[0] for cell in cells[0]]
-    columns = {name: k for k, (name, _) in enumerate(headings)}
-    wide = [name for name in columns if _WIDE.fullmatch(name)]
     # factors from units of the columns to those of the variables of a sweep
     factors = {}
     known = (*_OF_STEP, "counts", *ELEMENT, "cube")
-    for name, unit in headings:
+    ignored: dict[int, str] = {}
+    for k, (name, unit) in enumerate(headings):
         if name in SWEEP_VARIABLES:
             wanted = SWEEP_VARIABLES[name].units
             try:
@@ -544,19 +546,27 @@ def read_sweep_table(path: Path) -> xr.Dataset:
                     code="units-unknown",
                 )
         elif name not in known and not _WIDE.fullmatch(name):
-            close = difflib.get_close_matches(name, known, 1)
+            # a spreadsheet leaves empty columns, pandas a first column of row numbers
+            texts = [row[k].strip() for row in cells[1:] if k < len(row)]
+            is_blank = not any(texts) or (k == 0 and texts == [str(n) for n in range(len(texts))])
+            close = difflib.get_close_matches(name.lower(), known, 1)
+            if (name or is_blank) and not close:
+                ignored[k] = name
+                continue
             problems.add(
                 f"unknown column {name!r}",
                 expected=", ".join((*known, "column 0 ...")),
                 mend=f"did you mean {close[0]!r}?" if close else "",
                 code="column-unknown",
             )
+    columns = {name: k for k, (name, _) in enumerate(headings) if k not in ignored}
+    wide = [name for name in columns if _WIDE.fullmatch(name)]
     of_elements = BAND in columns and (bool(wide) or {"counts", CROSS_TRACK} <= set(columns))
     problems.raise_if_any(
         (
             ("cube" in columns) == of_elements
             or "exposure_time" not in columns
-            or len(columns) < len(headings),
+            or len(columns) + len(ignored) < len(headings),
             Problem(
                 f"columns {', '.join(name for name, _ in headings)[:200]}",
                 expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0...",
@@ -564,6 +574,8 @@ def read_sweep_table(path: Path) -> xr.Dataset:
             ),
         ),
     )
+    unknown = ", ".join(repr(name[:40]) for name in ignored.values() if name)
+    warn_if(unknown, f"{path}: unknown columns {unknown} are ignored", "column-unknown")
     # counts, or cubes, by the values of a step: all rows with these values are of one step
     steps: dict[tuple[float, ...], dict[tuple[float, float], Any]] = {}
     of_step = [name for name in _OF_STEP if name in columns]
@@ -575,6 +587,9 @@ def read_sweep_table(path: Path) -> xr.Dataset:
             code="row-unreadable",
         )
         if len(row) == len(headings):
+            if separator == ";":  # spreadsheets of languages with a decimal comma
+                name_of_cube = columns.get("cube")
+                row = [cell if k == name_of_cube else cell.replace(",", ".") for k, cell in enumerate(row)]
             values = {
                 name: _cell(row, k, line, cells[0], problems) * factors.get(name, 1.0)
                 for name, k in columns.items()
@@ -905,7 +920,7 @@ def _read(
     with FormatError.instead_of(
         Exception,
         f"{source}: not a readable Zarr store or netCDF file ($kind: $error)",
-        mend="" if zarr else "install for netCDF-4: python -m pip install h5netcdf",
+        mend="" if zarr or find_spec("h5netcdf") else "install for netCDF-4: python -m pip install h5netcdf",
         code="file-unreadable",
     ):
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
@@ -1061,6 +1076,11 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
         The file cannot be read, or has no counts of steps; faults of a table are listed with row, column and
         unit.
 
+    Warns
+    -----
+    PaintWarning
+        A table has unknown columns, which are ignored.
+
     Examples
     --------
     >>> import pathlib, tempfile
@@ -1072,21 +1092,21 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     ([[[400.0, 408.0]]], 0.005)
     """
     # in chunks of steps: the calibration processes few steps at a time
-    table = path if str(path).lower().endswith(".csv") else None
+    table = path if str(path).lower().endswith((".csv", ".tsv", ".txt")) else None
     place = input_path(path, "a sweep") if isinstance(path, str | os.PathLike) and not is_zarr(path) else None
     if place is not None and place.is_dir():
         tables = sorted(place.glob("*.csv"))
         FormatError.raise_if(
-            len(tables) > 1,
-            f"{path}: {len(tables)} tables of a lab sweep",
-            expected="one .csv, with a row for every cube",
-            mend="name the table in place of its folder",
+            len(tables) != 1,
+            f"{path}: {len(tables) or 'no'} tables of a lab sweep",
+            expected="one .csv, with a row for every cube, or a Zarr store",
+            mend="name the table in place of its folder" if tables else "",
             code="sweep-missing",
         )
-        table = tables[0] if tables else None
+        table = tables[0]
     if table is not None:
         return read_sweep_table(Path(table))
-    opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
+    opened = with_steps(_read(path, group, "sweep", functools.partial(open_unverified, chunks={})))
     FormatError.raise_if(
         "counts" not in opened.variables or STEP not in opened["counts"].dims,
         f"{path}: holds {', '.join(sorted(map(str, opened.variables))[:8]) or 'nothing'}",
@@ -1094,6 +1114,9 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
         code="counts-missing",
     )
     names = [name for name in SWEEP_VARIABLES if name in opened.variables]
+    # differences of unsigned integers wrap around
+    for name in (n for n in names if opened[n].dtype.kind in "iu" and "float" in SWEEP_VARIABLES[n].dtype):
+        opened[name] = opened[name].astype(SWEEP_VARIABLES[name].dtype)
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
 
 
