@@ -466,7 +466,7 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
 
     def decorated(target: Any) -> Any:
         function = vars(target)["__init__"] if isinstance(target, type) else target
-        parameters = inspect.signature(function).parameters
+        parameters = inspect.signature(function, eval_str=True).parameters
         names = list(parameters)
         kinds = {
             name: {*(get_args(parameter.annotation) or [parameter.annotation])} - {type(None)}

@@ -46,6 +46,7 @@ from hyperpaint.base import (
     require,
     takes_quantities,
     warn_if,
+    warn_user,
 )
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
@@ -67,6 +68,9 @@ SAME_EXPOSURE = 1e-3
 MAX_EXTRAPOLATION = 2.0
 #: Largest uncertainty of a modelled dark [count].
 MAX_DARK_U = 1.0
+#: Counts that rise by less than the tolerance, relative, over a larger relative span of light are of a full
+#: detector [1]; with a loss of 30 % at the highest count, they rise by 3 % over this span.
+FULL = SimpleNamespace(counts_tolerance=0.002, min_light_span=0.05)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +317,11 @@ def linearity(signal: ArrayLike, measured: ArrayLike, degree: int = 3) -> tuple[
     SchemaError
         Fewer measurements than unknowns of the polynomial, or values that are not positive.
 
+    Warns
+    -----
+    PaintWarning
+        The highest counts are of a full detector; they are left out.
+
     Examples
     --------
     >>> import numpy as np
@@ -323,10 +332,30 @@ def linearity(signal: ArrayLike, measured: ArrayLike, degree: int = 3) -> tuple[
     True
     """
     light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
+    for name, values in (("signal", light), ("measured", counts)):
+        invalid = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+        SchemaError.raise_if(
+            invalid.size,
+            f"{name} is {listed(values[invalid].tolist())} at number {listed(invalid.tolist())}",
+            expected="positive and finite",
+            mend="leave these measurements out",
+            code="value-out-of-range",
+        )
+    # a full detector gives the same counts for more light
+    if light.size == counts.size > 0:
+        brightest = light[counts >= (1.0 - FULL.counts_tolerance) * counts.max()]
+        if np.ptp(brightest) > FULL.min_light_span * brightest.min():
+            is_used = light < brightest.min()
+            warn_user(
+                f"counts end at {counts.max():g} from signal {brightest.min():g} on: the detector is full; "
+                f"{light.size - int(is_used.sum())} of {light.size} measurements are left out",
+                "elements-saturated",
+            )
+            light, counts = light[is_used], counts[is_used]
     SchemaError.raise_if(
-        light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all(),
+        light.size != counts.size or light.size < max(degree, 1),
         f"linearity of degree {degree} from {light.size} signals and {counts.size} counts",
-        expected=f"{degree} or more, positive, in pairs",
+        expected=f"{degree} or more, in pairs",
         code="signals-too-few",
     )
     # s light = c + a2 c^2 + ...: linear in s and the a; divided by c, all measurements have equal weight
@@ -1550,7 +1579,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
     # Read every step once and keep the windows around its lamp lines.
     #
     # SchemaError if the lamp lines do not move along the array with the wavelengths, or columns without flux
-    # are lit; a warning if lamp lines look clipped and ``saturation_count`` is missing.
+    # are lit; a warning if lamp lines look clipped below ``saturation_count``, or without it.
     steps, bands, _ = lab.shape
     windows: list[Window | None] = []
     rows = np.zeros((steps, bands))
@@ -1615,15 +1644,17 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
             mend="measure it there",
             code="flux-missing",
         )
-    # one highest count that repeats along a column
-    if lab.saturation is None:
-        highest = np.where(bad, -np.inf, highest)
+    # one highest count that repeats along a column; a full well may lie below the end of the converter
+    highest = np.where(bad, -np.inf, highest)
+    limit = np.inf if lab.saturation is None else lab.saturation - float(SATURATION_MARGIN_COUNTS)
+    if not (highest >= limit).any():
         is_highest = highest >= highest.max() - CLIPPING.count_tolerance
+        stated = "missing, and" if lab.saturation is None else f"{np.max(lab.saturation):g}, but"
         warn_if(
             (is_highest.sum(axis=0) >= CLIPPING.min_clipped_bands).any(),
-            f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
+            f"saturation_count is {stated} the highest count {highest.max():g} repeats in "
             f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
-            "give saturation_count",
+            "give the count at which the camera is full as saturation_count",
             "saturation-missing",
         )
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))

@@ -198,6 +198,21 @@ def test_linearity_is_the_identity_by_default_and_closes() -> None:
     expect_refusals((SchemaError, "signals-too-few", lambda: linearity([1.0], [1.0])))
 
 
+def test_linearity_leaves_full_counts_out() -> None:
+    light = np.linspace(0.05, 1.0, 20)
+    measured = 4000 * light - 0.03 * 4000 * light**2
+    with pytest.warns(PaintWarning, match="elements-saturated"):
+        made = linearity(light, np.minimum(measured, 3000.0), degree=2.0)
+    assert made == pytest.approx(linearity(light[:15], measured[:15], degree=2))
+    holes = [np.where(np.arange(20) == 3, value, measured) for value in (np.nan, 0.0)]
+    full = np.full(20, 4095.0)
+    with pytest.warns(PaintWarning, match="elements-saturated"):
+        expect_refusals((SchemaError, "signals-too-few", lambda: linearity(light, full)))
+    expect_refusals(
+        *((SchemaError, "value-out-of-range", "number 3", lambda h=h: linearity(light, h)) for h in holes)
+    )
+
+
 def test_interpolation_is_exact_for_smooth_and_calm_at_steps() -> None:
     x = np.linspace(400, 1000, 61)
     at = np.linspace(405, 995, 500)[:, None]

@@ -202,6 +202,14 @@ def test_clipped_lines_without_a_saturation_count() -> None:
         calibrated_silently(whole.drop_vars("saturation_count"))
 
 
+@pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")
+def test_lines_are_clipped_below_the_saturation_count() -> None:
+    sweep = sweep_of(**CLEAN)
+    full = 0.7 * float(sweep.counts.max())
+    with pytest.warns(PaintWarning, match=rf"4095, but.*{full:g}.*saturation-missing"):
+        hp.calibrate(changed(sweep, counts=sweep.counts.clip(max=full)))
+
+
 @pytest.mark.parametrize("value", [np.nan, -3.0, np.inf])
 def test_a_read_noise_that_is_none(value: float) -> None:
     noise = {"electrons_per_count": ((), 20.0, {"units": "electron count-1"}),
