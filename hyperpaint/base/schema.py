@@ -852,13 +852,15 @@ def has_labels_of(product: Any, line: xr.Dataset, dims: tuple[str, ...] = _PIXEL
     return len({label_digest(line, dims), str(product.attrs.get("labels", ""))} - {""}) < 2
 
 
-def refuse_other_labels(argument: Any, line: Any, name: str, dims: tuple[str, ...] = _PIXEL) -> None:
+def refuse_other_labels(
+    argument: Any, line: Any, name: str, dims: tuple[str, ...] = _PIXEL, of: str = "the flight line"
+) -> None:
     # Refuse an argument of the size of the line with other labels, since values are combined by position.
     for dim in dims:
         labels = [array.indexes[dim] for array in (argument, line) if dim in array.indexes]
         SchemaError.raise_if(
             len(labels) == 2 and len(labels[0]) == len(labels[1]) and not labels[0].equals(labels[1]),
-            f"{name}: its labels {dim!r} differ from those of the flight line",
+            f"{name}: its labels {dim!r} differ from those of {of}",
             mend=f"select the same pixels of both in the same order, or drop its coordinate {dim!r}",
             code="grid-mismatch",
         )

@@ -67,7 +67,6 @@ from .detector import (
     deviant_elements,
     element_differences,
     element_gain,
-    element_values,
     find_line,
     fit_beam,
     fit_steps,
@@ -75,6 +74,7 @@ from .detector import (
     line_profiles,
     line_wavelengths,
     listed,
+    on_elements,
     placed_lines,
     read_lines,
     refused,
@@ -1521,11 +1521,13 @@ def calibrate(
     # elements (band, cross_track) that are bad before any lamp line is fitted
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
     if bad_elements is not None:
-        bad = bad | element_values(bad_elements, bad.shape, "bad_elements").astype(bool)
+        bad = bad | on_elements(bad_elements, lab.counts, "bad_elements").to_numpy().astype(bool)
     if bad.all():
         raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
     flat_factors = (
-        None if flat_field is None else element_values(flat_field, bad.shape, "flat_field").astype(np.float64)
+        None
+        if flat_field is None
+        else on_elements(flat_field, lab.counts, "flat_field").to_numpy().astype(np.float64)
     )
     # the linearity curve of the arguments
     with Problems("linearity= cannot be applied", SchemaError) as problems:

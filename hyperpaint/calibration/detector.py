@@ -24,6 +24,7 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 
 from hyperpaint.base import (
+    ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     ELEMENT,
@@ -32,7 +33,6 @@ from hyperpaint.base import (
     SATURATION_MARGIN_COUNTS,
     STEP,
     SWEEP_VARIABLES,
-    Array,
     ArrayLike,
     Bools,
     Floats,
@@ -48,6 +48,7 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
+from hyperpaint.base.schema import refuse_other_labels, with_steps
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
     AREA,
@@ -178,7 +179,11 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     problems = Problems("no dark model can be made", SchemaError)
     frames: list[Floats] = []
     exposures: list[float] = []
-    for number, dark in enumerate([darks] if isinstance(darks, xr.Dataset) else darks):
+    datasets: Sequence[Any] = [darks] if isinstance(darks, xr.Dataset) else darks
+    for number, dark in enumerate(datasets):
+        if not isinstance(dark, xr.Dataset):
+            problems.add(f"dark {number} is {type(dark).__name__}", expected="a Dataset", code="type-wrong")
+            continue
         try:
             arrays = require(dark, ["dark_counts", "dark_exposure_time"], "a dark model")
         except SchemaError as error:
@@ -190,6 +195,7 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     problems.raise_if_any(
+        (not frames and not len(problems), Problem("no dark", expected="two or more", code="empty-input")),
         (len(shapes) > 1, Problem(f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")),
         (
             not all(0 < value < np.inf for value in exposures),
@@ -223,6 +229,11 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
 
     Only the rate is scaled by the exposure, never the bias.
 
+    Raises
+    ------
+    SchemaError
+        The model has no ``dark_bias`` or ``dark_rate``, as calibrations from darks at one exposure.
+
     Examples
     --------
     >>> import xarray as xr
@@ -231,21 +242,29 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     >>> dark_at(model, 0.02).values
     array([[101.]], dtype=float32)
     """
+    missing = [name for name in ("dark_bias", "dark_rate") if name not in model.variables]
+    SchemaError.raise_if(
+        missing,
+        f"{', '.join(map(repr, missing))} missing",
+        mend="make the model by dark_model, from darks at two exposures",
+        code="variable-missing",
+    )
     dark = model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]
     return label(dark.astype(np.float32), "dark_counts")
 
 
 @takes_quantities()
-def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.DataArray:
+def flat_field(frames: xr.DataArray, dark: xr.DataArray | float | None = None) -> xr.DataArray:
     """Return the factors that level the columns of each band, from evenly lit frames.
 
     Parameters
     ----------
     frames
         Counts (..., band, cross_track) [count] of a sphere or a diffuser; or many lines of a scene, over
-        similar ground. The median over all other dims is taken.
+        similar ground. The median over all other dims is taken. Saturated frames are left out by the caller.
     dark
-        Dark counts (band, cross_track) [count] at the same exposure; None where they are already subtracted.
+        Dark counts ([along_track,] band, cross_track) [count] at the same exposure, or one number; None where
+        they are already subtracted.
 
     Returns
     -------
@@ -256,7 +275,7 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     Raises
     ------
     SchemaError
-        ``frames`` lack band or cross_track.
+        ``frames`` lack band or cross_track, or ``dark`` is of other elements.
 
     Examples
     --------
@@ -265,10 +284,11 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     >>> flat_field(frames).round(4).values
     array([[1.1111, 0.9091]], dtype=float32)
     """
+    dims = frames.dims if isinstance(frames, xr.DataArray) else ()
     SchemaError.raise_if(
-        not set(ELEMENT) <= set(frames.dims),
-        f"flat-field frames have dims {tuple(map(str, frames.dims))}",
-        expected=f"{BAND} and {CROSS_TRACK}",
+        not set(ELEMENT) <= set(dims),
+        f"flat-field frames are {type(frames).__name__} of dims {tuple(map(str, dims))}",
+        expected=f"a DataArray with {BAND} and {CROSS_TRACK}",
         code="dims-wrong",
     )
     other_dims = [dim for dim in frames.dims if dim not in ELEMENT]
@@ -277,21 +297,31 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
         level = level.chunk(dict.fromkeys(other_dims, -1)) if level.chunks is not None else level
         level = level.median(other_dims)
     level = level.transpose(*ELEMENT)
+    if isinstance(dark, xr.DataArray) and ALONG_TRACK in dark.dims:
+        dark = dark.mean(ALONG_TRACK)
     if dark is not None:
-        level = level - dark.transpose(*ELEMENT).astype(np.float64)
+        is_number = isinstance(dark, float | int) or (isinstance(dark, xr.DataArray) and not dark.ndim)
+        level = level - (float(dark) if is_number else on_elements(dark, level, "dark").astype(np.float64))
     level = level.where(level > 0)
     return label((level.mean(CROSS_TRACK) / level).transpose(*ELEMENT).astype(np.float32), "flat_field")
 
 
-def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Array:
-    # Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits.
+def on_elements(value: Any, like: xr.DataArray, name: str) -> xr.DataArray:
+    # Return an argument (band, cross_track), labelled or a plain array, for the elements of ``like``, which
+    # has these dims; SchemaError where sizes or labels differ.
+    shape = tuple(like.sizes[dim] for dim in ELEMENT)
+    if isinstance(value, np.ndarray) and value.shape == shape:
+        value = xr.DataArray(value, dims=ELEMENT)
+    sizes = dict(value.sizes) if isinstance(value, xr.DataArray) else getattr(value, "shape", "unknown")
     SchemaError.raise_if(
-        set(array.dims) != set(ELEMENT) or array.transpose(*ELEMENT).shape != shape,
-        f"{name} has sizes {dict(array.sizes)}",
-        expected=f"{BAND} and {CROSS_TRACK} of {shape}",
+        sizes != dict(zip(ELEMENT, shape, strict=True)),
+        f"{name} is {type(value).__name__} of sizes {sizes}",
+        expected=f"a DataArray with {BAND} and {CROSS_TRACK} of {shape}",
         code="grid-mismatch",
     )
-    return array.transpose(*ELEMENT).to_numpy()
+    refuse_other_labels(value, like, name, ELEMENT, "the frames")
+    unlabelled: xr.DataArray = value.drop_vars(value.coords).transpose(*ELEMENT)
+    return unlabelled
 
 
 @takes_quantities()
@@ -475,6 +505,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     #
     # Raises `SchemaError`: Variables, dims, units or values are missing or impossible; all problems are
     # listed.
+    sweep = with_steps(sweep)
     with Problems(_REFUSAL, SchemaError) as problems:
         needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
         optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
@@ -702,6 +733,8 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     valid_net = np.where(bad | ~np.isfinite(net), np.nan, net)
     spectrum = _mean(valid_net, axis=1)
     is_valid = np.isfinite(spectrum)
+    if not is_valid.any():
+        return None
     spectrum = np.where(is_valid, spectrum - np.median(spectrum[is_valid]), 0.0)
     smooth = np.convolve(spectrum, np.ones(3) / 3.0, mode="same")
     peak = int(np.argmax(smooth))

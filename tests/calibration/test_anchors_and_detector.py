@@ -161,6 +161,9 @@ def test_dark_is_bias_plus_rate_times_exposure() -> None:
     expect_refusals(
         (SchemaError, "dark-exposures-few", lambda: dark_model([dark(0.01), dark(0.01)])),
         (SchemaError, "grid-mismatch", "shapes", lambda: dark_model([dark(0.01), narrow])),
+        (SchemaError, "empty-input", lambda: dark_model([])),
+        (SchemaError, "type-wrong", lambda: dark_model([narrow.dark_counts])),
+        (SchemaError, "variable-missing", lambda: dark_at(narrow, 0.02)),
     )
 
 
@@ -176,7 +179,20 @@ def test_flat_fields_of_sphere_and_scene() -> None:
     lazy = flat_field(scene.chunk(along_track=50), offset)
     np.testing.assert_allclose(lazy, made)
     assert lazy.chunks is not None
-    expect_refusals((SchemaError, "dims-wrong", lambda: flat_field(scene.rename(band="b"))))
+    for dark in (100, offset.values, xr.full_like(scene, 100.0)):
+        np.testing.assert_array_equal(flat_field(scene, dark), made)
+    columns = [xr.DataArray(np.arange(30) + first, dims="cross_track") for first in (0, 2)]
+    numbered, other = (
+        scene.assign_coords(cross_track=columns[0]),
+        offset.assign_coords(cross_track=columns[1]),
+    )
+    expect_refusals(
+        (SchemaError, "dims-wrong", lambda: flat_field(scene.rename(band="b"))),
+        (SchemaError, "dims-wrong", lambda: flat_field(scene.values)),
+        (SchemaError, "dims-wrong", lambda: flat_field(scene.to_dataset(name="counts"))),
+        (SchemaError, "grid-mismatch", lambda: flat_field(numbered, other)),
+        (SchemaError, "grid-mismatch", lambda: flat_field(scene, offset[:, :7])),
+    )
 
 
 def test_linearity_is_the_identity_by_default_and_closes() -> None:

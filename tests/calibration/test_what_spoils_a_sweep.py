@@ -380,6 +380,27 @@ def flux_of(sweep: xr.Dataset, step: int, value: float) -> xr.Dataset:
     return changed(sweep, flux=flux)
 
 
+def test_arguments_are_of_the_elements_of_the_sweep() -> None:
+    sweep = simulate_sweep(steps=31, bands=136, columns=4, noise=False, quantise=False, nonuniformity=0)
+    numbered = sweep.assign_coords(cross_track=[0, 1, 2, 3]).swap_dims(step="step_wavelength")
+    flat = xr.DataArray(np.tile([1.3, 1.1, 0.9, 0.8], (136, 1)), dims=("band", "cross_track"))
+    bad = (flat > 1.2) & (np.arange(136) == 40)[:, None]
+    made = hp.calibrate(numbered, flat_field=flat.values, bad_elements=bad.values)
+    xr.testing.assert_equal(made, hp.calibrate(sweep, flat_field=flat, bad_elements=bad))
+    other = flat.assign_coords(cross_track=[3, 2, 1, 0])
+    expect_refusals(
+        (SchemaError, "grid-mismatch", lambda: hp.calibrate(numbered, flat_field=other)),
+        (SchemaError, "grid-mismatch", lambda: hp.calibrate(numbered, bad_elements=other > 1.2)),
+        (SchemaError, "grid-mismatch", lambda: hp.calibrate(numbered, flat_field=flat.values[:, :2])),
+    )
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_step_of_nan_is_left_out(sweep: xr.Dataset) -> None:
+    with pytest.warns(PaintWarning, match=r"540 nm.*steps-dark"):
+        hp.calibrate(changed(sweep, counts=sweep.counts.where(sweep.step_wavelength != 540.0)))
+
+
 @pytest.mark.parametrize(
     ("change", "field", "code"),
     [
