@@ -43,6 +43,8 @@ from hyperpaint.base import (
     warn_if,
     warn_user,
 )
+from hyperpaint.base.schema import refuse_other_labels
+from hyperpaint.io.flightline.side_files import check_calibration
 from hyperpaint.kernels.line_fits import GAUSSIAN
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.responses import Responses
@@ -183,7 +185,7 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     irradiance
         Irradiance on the panel, with units and a dim of wavelengths.
     reflectance
-        Reflectance of the panel [1]; a spectrum is on the wavelengths of ``irradiance``.
+        Reflectance of the panel [1], up to 1.2; a spectrum is on the wavelengths of ``irradiance``.
 
     Returns
     -------
@@ -193,6 +195,8 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     ------
     UnitsError
         ``irradiance`` has no units of irradiance.
+    SchemaError
+        ``reflectance`` is not from 0 to 1.2, or shares no wavelength with ``irradiance``.
 
     Examples
     --------
@@ -200,7 +204,21 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     >>> panel_radiance(irradiance, 0.5).values.round(4)
     array([0.1592, 0.2069])
     """
+    highest = float(np.max(reflectance))
+    SchemaError.raise_if(
+        highest < 0 or highest > 1.2,
+        f"reflectance up to {highest:g}",
+        expected="0 to 1.2",
+        mend="divide percent by 100",
+        code="value-out-of-range",
+    )
     radiance = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
+    SchemaError.raise_if(
+        irradiance.size and not radiance.size,
+        "reflectance has no wavelength of irradiance",
+        mend="interpolate it: reflectance.interp_like(irradiance)",
+        code="grid-mismatch",
+    )
     return label(radiance, "radiance")
 
 
@@ -243,7 +261,8 @@ def anchor_to_radiance(
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, or no element is covered; all problems are listed.
+        Variables are missing, or no element is covered; all problems are listed. The source has no
+        wavelengths or no positive radiance; ``uncertainty`` is not from 0 to 1.
 
     Warns
     -----
@@ -263,6 +282,13 @@ def anchor_to_radiance(
     0.05
     """
     one_of(scale, ("element", "common"), "scale")
+    _check_uncertainties(uncertainty=uncertainty)
+    SchemaError.raise_if(
+        not isinstance(radiance, xr.DataArray),
+        f"radiance is {type(radiance).__name__}",
+        expected="a DataArray with units, and a coordinate of wavelengths",
+        code="type-wrong",
+    )
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     # mean of the source's spectrum over the response of every element (band, cross_track)
     SchemaError.raise_if(
@@ -271,7 +297,14 @@ def anchor_to_radiance(
         expected="one, of wavelengths",
         code="dims-wrong",
     )
-    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[spectrum.dims[0]]
+    names = [name for name in ("wavelength", spectrum.dims[0]) if name in spectrum.coords]
+    SchemaError.raise_if(
+        not names,
+        "the source's radiance has no wavelengths",
+        expected="a coordinate [nm]",
+        code="wavelength-missing",
+    )
+    axis = spectrum[names[0]]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
         raise SchemaError(
             f"wavelengths of the source have units {axis.attrs['units']!r}",
@@ -288,8 +321,15 @@ def anchor_to_radiance(
         mend="sort them",
         code="wavelength-unordered",
     )
+    SchemaError.raise_if(
+        not (values > 0).any(),
+        f"the source's radiance is {np.nanmax(values, initial=-np.inf):g} at most",
+        expected="above 0",
+        code="value-out-of-range",
+    )
+    ordered = calibration.transpose(*ELEMENT, ..., missing_dims="ignore")
     tables = {
-        option: calibration[name].to_numpy()
+        option: ordered[name].to_numpy()
         for option, name in {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}.items()
         if name in calibration.variables
     }
@@ -301,7 +341,7 @@ def anchor_to_radiance(
         gain = calibration["radiance_gain"].transpose(*ELEMENT).to_numpy().astype(np.float64)
         tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
     responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
-    shifts = np.atleast_2d(calibration.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
+    shifts = np.atleast_2d(ordered.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
     low, high = float(shifts.min()), float(shifts.max())
     nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
     bands = responses.wavelength.size
@@ -318,13 +358,14 @@ def anchor_to_radiance(
             code="variable-missing",
         )
     problems.raise_if_any()
-    exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
+    exposures = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
     problems.add_if(
-        len(exposure) != 1 or not exposure[0] > 0,
-        f"'exposure_time' {exposure.tolist()}",
+        not exposures.size or not (exposures > 0).all() or np.ptp(exposures) > SAME_EXPOSURE * exposures[0],
+        f"'exposure_time' {listed(exposures.tolist(), 's')}",
         expected="one positive number",
         code="exposure-invalid",
     )
+    exposure = exposures[:1] if exposures.size == 1 else np.array([exposures.mean()])
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         problems.add_if(
@@ -333,14 +374,16 @@ def anchor_to_radiance(
             expected="([along_track,] band, cross_track)",
             code="dims-wrong",
         )
-        expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in ELEMENT}
+        expected = {dim: calibration.sizes.get(dim, counts.sizes.get(dim)) for dim in ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in ELEMENT}
+        # one column stands for all
         problems.add_if(
-            sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]},
+            sizes[BAND] != expected[BAND] or sizes[CROSS_TRACK] not in (expected[CROSS_TRACK], 1),
             f"{array.name!r} has sizes {sizes}, the calibration {expected}",
             code="grid-mismatch",
         )
     problems.raise_if_any()
+    refuse_other_labels(frames, calibration, "frames", ELEMENT, "the calibration")
     other_dims = [dim for dim in counts.dims if dim not in ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
     dark = dark.astype(np.float64)
@@ -377,7 +420,7 @@ def anchor_to_radiance(
     # the sweep gives no wavelengths for unlit columns
     signal[:, :first] = signal[:, last + 1 :] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.where(signal > 0, level * exposure / signal, np.nan)
+        gain = np.where((signal > 0) & (level > 0), level * exposure / signal, np.nan)
     if scale == "common":
         relative_gain = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
         gain = relative_gain * float(np.nanmedian(gain / relative_gain))
@@ -415,6 +458,17 @@ def _with_gain(
     return rescaled.assign_coords(good=good).assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
+def _check_uncertainties(**values: float) -> None:
+    # Refuse relative standard uncertainties that are negative, or in percent.
+    for name, value in values.items():
+        SchemaError.raise_if(
+            value < 0 or value >= 1,
+            f"{name}={value:g}",
+            expected="a relative standard uncertainty, from 0 to below 1",
+            code="value-out-of-range",
+        )
+
+
 def _mean_over_response(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
     reach = float(responses.reach()[band])
     step = min(float(responses.fwhm[band]) / 40.0, reach / 20.0)
@@ -432,11 +486,11 @@ def _mean_over_response(responses: Responses, band: int, grid: Floats, values: F
     )
 
 
-@takes_quantities(exposure_time="s")
+@takes_quantities(wavelength="nm", fwhm="nm", exposure_time="s")
 def calibration_from_coefficients(
     coefficients: xr.DataArray,
-    wavelength: xr.DataArray,
-    fwhm: xr.DataArray,
+    wavelength: xr.DataArray | Floats,
+    fwhm: xr.DataArray | Floats | float,
     *,
     exposure_time: float | None = None,
     srf_shape: str = "gaussian",
@@ -450,7 +504,7 @@ def calibration_from_coefficients(
         Radiance x exposure per count, or radiance per count at one exposure, with units; zeros and values
         that are not finite mark bad elements.
     wavelength, fwhm : (band,)
-        Centre wavelengths and full widths at half maximum of the bands, with units.
+        Centre wavelengths and full widths at half maximum of the bands, with units or in nm; or one width.
     exposure_time
         Exposure time [s] to which coefficients in radiance per count refer.
     srf_shape
@@ -465,7 +519,8 @@ def calibration_from_coefficients(
     Raises
     ------
     SchemaError, UnitsError
-        Coefficients have other units or dims.
+        Coefficients have other units or dims; wavelengths, widths or ``srf_shape`` are impossible;
+        ``uncertainty`` is not from 0 to 1.
 
     Examples
     --------
@@ -479,11 +534,13 @@ def calibration_from_coefficients(
     >>> round(float(made.radiance_gain[0, 0]), 9), made.radiance_gain.units
     (0.0001, 'W m-2 sr-1 nm-1 s count-1')
     """
+    _check_uncertainties(uncertainty=uncertainty)
     units_of_gain = VARIABLES["radiance_gain"].units
+    dims = coefficients.dims if isinstance(coefficients, xr.DataArray) else ()
     SchemaError.raise_if(
-        coefficients.ndim != 2 or set(coefficients.dims) != set(ELEMENT),
-        f"coefficients have dims {tuple(map(str, coefficients.dims))}",
-        expected=f"{ELEMENT}",
+        set(dims) != set(ELEMENT),
+        f"coefficients are {type(coefficients).__name__} of dims {tuple(map(str, dims))}",
+        expected=f"a DataArray with units, of dims {ELEMENT}",
         code="dims-wrong",
     )
     gain = coefficients.astype(np.float64).transpose(*ELEMENT)
@@ -500,15 +557,26 @@ def calibration_from_coefficients(
         gain = convert(gain, units_of_gain, "coefficients")
     values = gain.to_numpy()
     values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
-    calibration = xr.Dataset(
-        coords={"wavelength": _axis(wavelength, "wavelength"), "fwhm": _axis(fwhm, "fwhm")},
-        attrs={"srf_shape": srf_shape},
+    coords = {}
+    for name, axis in (("wavelength", wavelength), ("fwhm", fwhm)):
+        numbers = np.asarray(axis, np.float64)
+        SchemaError.raise_if(
+            numbers.shape != (len(values),) and (name == "wavelength" or numbers.ndim > 0),
+            f"{name} has shape {numbers.shape}",
+            expected=f"one value for each of {len(values)} bands",
+            code="length-mismatch",
+        )
+        coords[name] = label(xr.DataArray(np.broadcast_to(numbers, len(values)).copy(), dims=BAND), name)
+    made = _with_gain(
+        xr.Dataset(coords=coords, attrs={"srf_shape": srf_shape}),
+        values,
+        "coefficients of the vendor",
+        uncertainty,
     )
-    return _with_gain(calibration, values, "coefficients of the vendor", uncertainty)
-
-
-def _axis(array: xr.DataArray, name: str) -> xr.DataArray:
-    return label(convert(array.reset_coords(drop=True).astype(np.float64), "nm", name), name)
+    # a table of responses is added later
+    has_table = srf_shape == "tabulated"
+    check_calibration(made.assign_attrs(srf_shape="slit") if has_table else made, "these coefficients")
+    return made
 
 
 # --- anchors -----------------------------------------------------------------------------------------------
@@ -1511,6 +1579,12 @@ def calibrate(
     )
     if srf_shape is not None:
         one_of(srf_shape, SHAPES, "srf_shape")
+    _check_uncertainties(
+        flux_uncertainty=flux_uncertainty,
+        capture_uncertainty=capture_uncertainty,
+        etendue_uncertainty=etendue_uncertainty,
+        linearity_uncertainty=linearity_uncertainty,
+    )
     lab = check_sweep(sweep, absolute=absolute)
     total, done = lab.shape[0] * (3 if srf_shape else 4), itertools.count(1)
 

@@ -1,6 +1,7 @@
 """Absolute anchors, dark, flat field, linearity and stray light on their own."""
 
 import contextlib
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import xarray as xr
 from support.refusals import expect_error, expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError, UnitsError
 from hyperpaint.calibration import (
     anchor_to_radiance,
     calibration_from_coefficients,
@@ -113,6 +114,36 @@ def test_an_anchor_extrapolates_nothing_and_drops_what_is_saturated(sweep: xr.Da
         (SchemaError, "variable-missing", "'exposure_time'", lambda: anchor_to_radiance(made, untimed, flat)),
         (UnitsError, "units-not-convertible", lambda: anchor_to_radiance(made, frames, irradiance)),
     )
+    # frames of nearly equal exposures, and dims in another order
+    several = frames_of(sweep, 0.05).expand_dims(along_track=2, axis=0)
+    several["exposure_time"] = ("along_track", [5e-3, 5.00001e-3], {"units": "s"})
+    several["dark_counts"] = several.dark_counts.isel(along_track=0)
+    np.testing.assert_allclose(
+        anchor_to_radiance(made.transpose("cross_track", ...), several, flat).radiance_gain,
+        anchor_to_radiance(made, frames_of(sweep, 0.05), flat).radiance_gain,
+        rtol=1e-5,
+    )
+    numbered = made.assign_coords(cross_track=np.arange(6))
+    moved = frames.assign_coords(cross_track=np.arange(1, 7))
+    for code, arguments in (
+        ("grid-mismatch", (made, frames.isel(cross_track=slice(3)), flat)),
+        ("grid-mismatch", (numbered, moved, flat)),
+        ("wavelength-missing", (made, frames, flat.drop_vars("wavelength"))),
+        ("value-out-of-range", (made, frames, (-flat).assign_attrs(flat.attrs))),
+        ("value-out-of-range", (made, frames, flat.copy(data=[0.0, 0.0]))),
+        ("type-wrong", (made, frames, flat.to_series())),
+    ):
+        expect_refusals((SchemaError, code, partial(anchor_to_radiance, *arguments)))
+    expect_refusals(
+        *(
+            (SchemaError, "value-out-of-range", call)
+            for wrong in (2.0, -0.02)
+            for call in (
+                partial(anchor_to_radiance, made, frames, flat, uncertainty=wrong),
+                partial(hp.calibrate, sweep, flux_uncertainty=wrong),
+            )
+        )
+    )
 
 
 def test_a_panel_is_a_sphere_with_pi() -> None:
@@ -120,6 +151,14 @@ def test_a_panel_is_a_sphere_with_pi() -> None:
     made = panel_radiance(lit, 0.40)
     assert (float(made[0]), made.units) == (pytest.approx(0.165521, rel=1e-5), "W m-2 sr-1 nm-1")
     expect_error(UnitsError, None, lambda: panel_radiance(lit.assign_attrs(units="W m-2 sr-1 nm-1"), 0.4))
+    percent = xr.DataArray(40.0, attrs={"units": "%"})
+    np.testing.assert_allclose(panel_radiance(lit, percent), made)
+    here, there = ({"irradiance_wavelength": [nm]} for nm in (500.0, 500.5))
+    other = xr.DataArray([0.4], there, dims="irradiance_wavelength")
+    expect_refusals(
+        (SchemaError, "value-out-of-range", lambda: panel_radiance(lit, 95.0)),
+        (SchemaError, "grid-mismatch", lambda: panel_radiance(lit.assign_coords(here), other)),
+    )
 
 
 def test_coefficients_of_a_vendor() -> None:
@@ -138,6 +177,21 @@ def test_coefficients_of_a_vendor() -> None:
         (SchemaError, "exposure-missing", lambda: calibration_from_coefficients(timeless, axis, width)),
         (UnitsError, "units-not-convertible", lambda: calibration_from_coefficients(counts, axis, width)),
     )
+    xr.testing.assert_identical(
+        calibration_from_coefficients(gain, axis.rename(band="wavelength").values, 6, srf_shape="slit"), made
+    )
+    for code, arguments, options in (
+        ("wavelength-range", ([500.0, np.nan], width), {}),
+        ("units-missing", (xr.DataArray(axis.values), width), {}),
+        ("value-out-of-range", (axis, 0.0), {}),
+        ("length-mismatch", (axis[:1], width), {}),
+        ("choice-unknown", (axis, width), {"srf_shape": "triangle"}),
+        ("value-out-of-range", (axis, width), {"uncertainty": 5.0}),
+    ):
+        expect_refusals(
+            (PaintError, code, partial(calibration_from_coefficients, gain, *arguments, **options))
+        )
+    expect_refusals((SchemaError, "dims-wrong", lambda: calibration_from_coefficients(gain.values, axis, 6)))
 
 
 def dark(seconds: float, bias: float = 100.0, rate: float = 50.0) -> xr.Dataset:
