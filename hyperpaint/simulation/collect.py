@@ -87,6 +87,8 @@ from .settings import CAMERA_FIELDS, ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 
 PerStep = float | Sequence[float] | Floats
 
+_LAMP_LINE_NM = 2.0  # full width of the lamp lines of a sweep
+
 # effects of the electronics on a frame, in the lab and in flight
 _FRAME_FIELDS = frozenset({"noise", "dark_noise", "quantise", "dark_frames"})
 
@@ -126,7 +128,7 @@ class SweepSettings:
         1000.0, "dial of the monochromator at the last step", unit="nm", least=300.0, most=1200.0
     )
     monochromator_fwhm_nm: PerStep = fact(
-        2.0,
+        _LAMP_LINE_NM,
         "full width at half maximum of the light of the monochromator; one, or one for each step",
         kind="numbers",
         single=True,
@@ -1127,7 +1129,8 @@ def simulate_collect(
     sweep
         Also write a monochromator sweep of the same camera, ``lab/sweep.zarr``, with these effects (fields of
         `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), and its truth,
-        ``lab/sweep_truth.zarr``. ``collect.toml`` then names the sweep instead of ``calibration.zarr``.
+        ``lab/sweep_truth.zarr``. ``collect.toml`` then names the sweep instead of ``calibration.zarr``. Lamp
+        lines are wider than the default where the bands do not overlap.
     overwrite
     progress
     block_lines
@@ -1170,6 +1173,10 @@ def simulate_collect(
         expected="a whole number above 0",
         code="value-out-of-range",
     )
+    spacing = (settings.last_wavelength - settings.first_wavelength) / max(bands - 1, 1)
+    if sweep is not None and np.hypot(settings.fwhm_nm, _LAMP_LINE_NM) < spacing:
+        # bands apart count the light of wide lamp lines only; a sweep of narrow ones cannot be calibrated
+        sweep = {"monochromator_fwhm_nm": min(1.2 * spacing, 100.0), **sweep}
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = flight_of(settings)
     StoreError.raise_if(

@@ -1184,6 +1184,7 @@ def test_collect_with_its_sweep(tmp_path: Path) -> None:
     truth = xr.open_zarr(toml.parent / "lab" / "sweep_truth.zarr")
     exact = xr.open_zarr(toml.parent / "calibration.zarr")
     assert (dict(lab.counts.sizes), int(lab.frame_count)) == ({"step": 5, "band": 16, "cross_track": 6}, 9)
+    assert float(lab.monochromator_fwhm) > 40.0  # the bands are 40 nm apart
     assert truth.attrs["true_srf_shape"] == exact.attrs["srf_shape"] == "slit"
     np.testing.assert_allclose(truth.true_radiance_gain, exact.radiance_gain, rtol=1e-6)
     without = simulate_collect(tmp_path / "without", **size)
