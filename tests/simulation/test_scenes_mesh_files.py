@@ -117,6 +117,30 @@ def test_an_obj_box_by_material_and_by_object(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.normals[scene.faces], np.repeat(flat[:, None], 3, axis=1), atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("text", "area"),
+    [
+        (
+            "v 0 0 0\nv 4 0 0\nv 4 1 0\nv 1 1 0\nv 1 4 0\nv 0 4 0\nf 2 3 4 5 6 1\n",
+            7.0,
+        ),  # an L, from its inner corner
+        ("v 0 0 0\nv 2 0 0\nv 2 2 0\nv 1 -1e-5 0\nf 1 2 3 4\n", 1.0),
+        (
+            "\ufeffv 0 0 0\rv 1 0 0\rv 1 1 0\rf 1 2 3 # roof\r",
+            0.5,
+        ),  # byte order mark, lines of old Macs, a remark
+        (
+            "v 0 0 0\nv 1 0 0\nv 2 1e-9 0\nv 3 0 0\nv 2 0 0\nv 0 9 0\nf 1 2 3 4 5\nf 1 2 6\n",
+            4.5,
+        ),  # a face without area
+    ],
+)
+def test_faces_of_an_obj_keep_their_area(text: str, area: float) -> None:
+    mesh = parse_obj(text.encode(), "roof.obj")
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(area, abs=1e-4)
+
+
 def test_units_and_axes(tmp_path: Path) -> None:
     path = written(tmp_path, "box.obj", OBJ)
     sizes = {up: np.ptp(read_mesh(path, default=GREY, up=up, unit=0.1).bounds, axis=0) for up in "xyz"}
@@ -128,6 +152,7 @@ def test_units_and_axes(tmp_path: Path) -> None:
         ("up='w'", {"default": GREY, "up": "w"}),
         ("unit=0", {"default": GREY, "unit": 0}),
         ("'red', 'bl\u00fc'.*material-missing", {}),
+        ("'read'.*paint-target-unknown", {"default": GREY, "materials": {"read": RED}}),
     ):
         with pytest.raises(SchemaError, match=words):
             read_mesh(path, **options)
@@ -178,6 +203,11 @@ def test_flat_unless_smooth(tmp_path: Path) -> None:
         ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "1 of 3 vertices.*not-finite"),
         ("v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not-finite"),
         ("\x00\x01\x02", "mesh-empty"),
+        # a roof in the form of a U: no corner sees all of it
+        (
+            "v 0 0 0\nv 3 0 0\nv 3 3 0\nv 2 3 0\nv 2 1 0\nv 1 1 0\nv 1 3 0\nv 0 3 0\nf 1 2 3 4 5 6 7 8\n",
+            "mesh-unreadable",
+        ),
     ],
 )
 def test_a_broken_obj_is_named(tmp_path: Path, text: str, words: str) -> None:

@@ -39,6 +39,9 @@ _MAX_TRIANGLES = 50_000_000
 _MAX_VERTEX_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")
 _MAX_LINE_CHARS = 2**20
+#: Largest share of a polygon's area that its triangles may cover twice; corners on an edge are rounded.
+_MAX_OVERLAP = 1e-3
+_MAX_CONCAVE_CORNERS = 200  # of which fans from every corner are tried
 #: Lines of numbers in an OBJ file: their type, minimum count, and form.
 _OBJ_NUMBERS: dict[str, tuple[Callable[[str], Any], int, str]] = {
     "v": (float, 3, "'v' and three numbers"),
@@ -61,10 +64,13 @@ class RawTriangles(NamedTuple):
 def parse_obj(data: bytes, where: str) -> RawTriangles:
     r"""Return the triangles of an OBJ file; polygons become fans. ``where`` names the file in messages.
 
+    The fan of a polygon begins at its first corner, or at the corner where its triangles overlap least if
+    they do at the first.
+
     Raises
     ------
     FormatError
-        A line cannot be read.
+        A line cannot be read, or triangles of a polygon of more than four corners overlap in every fan.
 
     Examples
     --------
@@ -72,9 +78,11 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     >>> quad.faces.tolist(), quad.groups
     ([[0, 1, 2], [0, 2, 3]], (('red', ''),))
     """
-    text = data.decode("utf-8", errors="replace").replace("\\\n", " ").replace("\\\r\n", " ")
+    text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\\\n", " ")
     # arrays instead of lists, and line by line, because large meshes have millions of lines
-    coordinates, corners, face_group = array("d"), array("q"), array("q")
+    coordinates, corners, face_group, face_polygon = array("d"), array("q"), array("q"), array("q")
+    polygons = 0
     groups: dict[tuple[str, str], int] = {}
     material, object_name = "", ""
     group = -1
@@ -90,6 +98,7 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
         keyword = words[0] if words else ""
         if keyword in _OBJ_NUMBERS:
             kind, least, expected = _OBJ_NUMBERS[keyword]
+            words = line.partition("#")[0].split()
             texts = words[1:4] if keyword == "v" else [word.partition("/")[0] for word in words[1:]]
             try:
                 numbers = [kind(text) for text in texts]
@@ -112,16 +121,49 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             for corner in range(1, len(fan) - 1):
                 corners.extend((fan[0], fan[corner], fan[corner + 1]))
                 face_group.append(group)
+                face_polygon.append(polygons)
+            polygons += 1
         elif keyword in ("usemtl", "o", "g"):
             name = line.strip()[len(keyword) :].strip()
             material, object_name = (name, object_name) if keyword == "usemtl" else (material, name)
             group = -1
-    return RawTriangles(
-        np.asarray(coordinates, np.float64).reshape(-1, 3),
-        np.asarray(corners, np.int64).reshape(-1, 3),
-        np.asarray(face_group, np.int64),
-        tuple(groups),
-    )
+    vertices = np.asarray(coordinates, np.float64).reshape(-1, 3)
+    faces = np.asarray(corners, np.int64).reshape(-1, 3)
+    polygon = np.asarray(face_polygon, np.int64)
+    # fans from the first corner fold over in polygons that are not convex: another corner may see the whole
+    several = np.flatnonzero(np.bincount(polygon)[polygon] > 1)
+    if several.size and faces[several].min() >= 0 and faces[several].max() < len(vertices):
+        overlaps = _overlaps(vertices, faces[several], polygon[several])
+        for concave in np.flatnonzero(overlaps > _MAX_OVERLAP):
+            rows = slice(*np.searchsorted(polygon, (concave, concave + 1)))
+            outline = np.concatenate([faces[rows][0, :2], faces[rows][:, 2]])
+            first = np.arange(len(outline) if len(outline) <= _MAX_CONCAVE_CORNERS else 1)[:, None, None]
+            steps = np.arange(len(outline) - 2)[:, None] + [0, 1, 2]
+            steps[:, 0] = 0
+            fans = outline[(first + steps) % len(outline)]  # (corner, triangle, 3)
+            shares = _overlaps(vertices, fans.reshape(-1, 3), np.repeat(first, len(steps)))
+            faces[rows] = fans[shares.argmin()]
+            _require(
+                shares.min() <= _MAX_OVERLAP or len(outline) == 4,  # four corners that cross or fold stay
+                f"{where}: face {concave + 1} is not convex, and triangles from any of its {len(outline)} "
+                "corners overlap",
+                mend="export the mesh with triangles as faces",
+                code="mesh-unreadable",
+            )
+    return RawTriangles(vertices, faces, np.asarray(face_group, np.int64), tuple(groups))
+
+
+def _overlaps(vertices: Floats, faces: Ints, polygon: Ints) -> Floats:
+    # Return the area of every polygon's triangles that face away from the polygon, as a share of its area;
+    # small for polygons without area.
+    with np.errstate(all="ignore"):  # vertices that are not finite are refused later
+        edges = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
+        normals = np.cross(edges[:, 0], edges[:, 1])
+        sums = np.stack([np.bincount(polygon, column) for column in normals.T], axis=-1)
+        area = np.linalg.norm(sums, axis=1)
+        facing = (normals * sums[polygon]).sum(axis=1) / area[polygon]
+        rounding = 1e-6 * np.bincount(polygon, (edges**2).sum(axis=(1, 2)))
+        return np.asarray(np.bincount(polygon, np.maximum(-facing, 0.0)) / (area + rounding))
 
 
 # --- PLY ---------------------------------------------------------------------------------------------------
@@ -580,6 +622,14 @@ def read_mesh(
             unassigned.append(next((repr(name) for name in names if name), "a part without a name"))
         else:
             numbers[group] = number_of_material.setdefault(material, len(number_of_material))
+    parts = list(dict.fromkeys(name for names in raw.groups for name in names if name))
+    unknown = [name for name in materials if name not in parts]
+    SchemaError.raise_if(
+        unknown,
+        f"{file.name} has no part named {', '.join(map(repr, unknown[:20]))}",
+        expected=", ".join(map(repr, parts[:20])) or "none, since its parts have no names",
+        code="paint-target-unknown",
+    )
     SchemaError.raise_if(
         unassigned,
         f"{file.name}: no material for {', '.join(unassigned[:20])}",
