@@ -1230,7 +1230,7 @@ def run(
                 else f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
             )
 
-        return write_groups(
+        outcome = write_groups(
             out,
             planned,
             pending_groups,
@@ -1250,6 +1250,18 @@ def run(
             overwrite=overwrite,
             client=client,
         )
+    for name in outcome.written:
+        picture = open_group(out, name).get("overview")
+        if picture is not None and not picture.values.any():
+            scene, camera = parts.scene.bounds.tolist(), parts.platform.position.mean(axis=0).tolist()
+            spans = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(*scene, strict=True))
+            warn_user(
+                f"{name} is black: no pixel sees a surface in light; the camera is about "
+                f"{', '.join(map('{:.4g}'.format, camera))} m to east, north and up, the scene "
+                f"spans {spans} m: check unit_m, up and offset_m of its meshes, and the flight",
+                "ground-not-seen",
+            )
+    return outcome
 
 
 # --- groups to write ---------------------------------------------------------------------------------------

@@ -336,6 +336,12 @@ def test_problems_are_one_message_and_status_2(tmp_path: Path) -> None:
     assert hyperpaint("render", tmp_path / "none.toml", "--out", tmp_path / "out.zarr").exit_code == 2
 
 
+def test_a_render_of_nothing_is_warned_of(tmp_path: Path) -> None:
+    text = '[scene]\nkind = "plane"\nsize_m = 5\n[platform]\nlines = 2\ncolumns = 2\ncentre_m = [90, 0]\n'
+    result = hyperpaint("render", scene_file(tmp_path, text + "[sampling]\nsamples = 1\n"), status=0)
+    assert "ground-not-seen" in result.output
+
+
 # --- the command -------------------------------------------------------------------------------------------
 
 
