@@ -18,7 +18,7 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError
+from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, Quality
 from hyperpaint.geometry.georeference.locating import meridian_convergence, utm_zone
 from hyperpaint.regions import pixels
@@ -215,7 +215,14 @@ def test_rays_to_the_horizon_and_above() -> None:
     for name in PLACES:
         np.testing.assert_array_equal(np.isnan(made[name]), np.isnan(made.east))
     np.testing.assert_array_equal((made.quality & Quality.OFF_SWATH) > 0, np.isnan(made.east))
-    assert np.isnan(hp.geometry.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()  # underground
+    with pytest.warns(PaintWarning, match="ground-not-seen"):  # underground
+        assert np.isnan(hp.geometry.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:32612"])
+def test_a_map_that_stretches_the_ground_is_warned_of(crs: str) -> None:
+    with pytest.warns(PaintWarning, match="crs-distorted"):
+        hp.geometry.locate(flown(5, 5), ground=0.0, crs=crs, camera=CAMERA)
 
 
 def test_lines_without_a_pose() -> None:

@@ -12,7 +12,7 @@ from support.geocentric_rays import UTM, exact_places, flown
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import PaintError, SchemaError
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.facts import plain
 from hyperpaint.base.schema import Quality
 from hyperpaint.geometry.georeference.locating import grid_of, terrain_of
@@ -197,8 +197,21 @@ def test_a_camera_below_the_surface_or_the_top() -> None:
     heights[:, :60] = 9.0  # a building beside the camera, higher than it
     made = hp.geometry.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
     assert (np.isfinite(made.east).all(), float(made.ground_height.max())) == (True, pytest.approx(0.5))
-    under = hp.geometry.locate(line, dem=dem(np.full((200, 200), 5.0), 0.1), crs=UTM, camera=CAMERA)
-    assert np.isnan(under.east).all()
+    raster = dem(np.full((200, 200), 5.0), 0.1)
+    for unseen in (raster, raster.assign_coords(x=raster.x + 5000.0)):
+        with pytest.warns(PaintWarning, match="ground-not-seen"):
+            under = hp.geometry.locate(line, dem=unseen, crs=UTM, camera=CAMERA)
+        assert np.isnan(under.east).all()
+
+
+@pytest.mark.parametrize("unit", ["m", "ft"])
+def test_a_mark_of_holes_that_is_not_declared_is_a_hole(unit: str) -> None:
+    heights = np.full((20, 20), 3.0)
+    raster = dem(heights, units=unit)
+    heights[9, 9] = -9999.0
+    with pytest.warns(PaintWarning, match="dem-heights"):
+        terrain = terrain_of(heights, grid_of(raster))
+    assert (np.isnan(terrain.heights).sum(), terrain.lowest) == (1, terrain.highest)
 
 
 def test_heights_above_the_geoid() -> None:
@@ -218,6 +231,8 @@ def test_rasters_that_cannot_be_used() -> None:
     missing, geoid = dem(heights, crs=None, height_reference=None), dem(heights, height_reference="geoid")
     expect_refusals(
         (SchemaError, ("crs-missing", "height-reference-missing"), lambda: place(dem=missing)),
+        (SchemaError, "type-wrong", lambda: place(dem="dem.tif")),
+        (SchemaError, "type-wrong", lambda: place(dem=even.to_dataset(name="band_data"))),
         (SchemaError, "undulation-missing", lambda: place(dem=geoid)),
         (SchemaError, "grid-uneven", lambda: place(dem=uneven)),
         (SchemaError, "dim-missing", lambda: place(dem=even.rename(y="lat", x="lon"))),

@@ -57,6 +57,7 @@ from hyperpaint.base import (
     require,
     schema,
     takes_quantities,
+    warn_if,
     warn_user,
     wrapped,
 )
@@ -931,6 +932,9 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     return out
 
 
+_SAMPLED_LINES = 33  # lines that are located at once, to warn where they see no ground
+_MAX_MAP_DISTORTION = 0.01
+
 # coordinates that `locate` adds, in the order in which the kernels write them
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 
@@ -1100,7 +1104,7 @@ def locate(
         columns["recorded"] = navigation[NAVIGATION_TIME].data
     grid = None if dem is None else grid_of(dem)
     if crs is None and _is_lazy(*columns.values()):
-        (columns,) = dask.compute(columns)
+        columns, across, along = dask.compute(columns, across, along)
     poses = _call(
         _poses,
         convention=declared,
@@ -1155,6 +1159,8 @@ def locate(
         crs=crs,
         starts=np.concatenate([[0], np.cumsum(chunks)]),
     )
+    if isinstance(swath, Swath):
+        _warn_of_nothing_seen(swath, None if user_crs is None else crs)
     places = da.map_blocks(
         places_of,
         dask.delayed(swath, pure=True),
@@ -1198,6 +1204,38 @@ def locate(
     }
     located.attrs = with_convention({**line.attrs, **settings}, declared.of_canonical)
     return located
+
+
+def _warn_of_nothing_seen(swath: Swath, crs: str | None) -> None:
+    # Locate some lines; warn if none of their pixels meets the ground, or if ``crs`` distorts distances.
+    lines = np.flatnonzero(np.isfinite(swath.poses).all(axis=0))
+    if not lines.size:
+        return
+    lines = lines[np.unique(np.linspace(0, lines.size - 1, _SAMPLED_LINES).astype(int))]
+    sample = replace(swath, poses=swath.poses[:, lines], starts=np.array([0, lines.size]))
+    latitude, longitude, altitude = np.median(sample.poses[:3], axis=1).tolist()
+    if np.isnan(places_of(sample, (0, 0, 0))[0]).all():
+        camera, ground = f"{altitude:.4g} m above the ellipsoid", f"the ground at {swath.ground} m"
+        if not isinstance(swath.ground, float):
+            terrain, grid = swath.ground, swath.ground.grid
+            cells = np.array([[0, 0], np.subtract(terrain.heights.shape[::-1], 1)])
+            (x0, y0), (x1, y1) = np.sort([grid.x[0], grid.y[0]] + cells * [grid.x[1], grid.y[1]], axis=0)
+            place = between_maps(np.array([[longitude, latitude]]), _LONGITUDE_LATITUDE, grid.crs)[0]
+            camera = f"({place[0]:.7g}, {place[1]:.7g}), {camera}"
+            ground = (
+                f"the DEM spans ({x0:.7g}, {y0:.7g}) to ({x1:.7g}, {y1:.7g}), up to {terrain.highest:.4g} m"
+            )
+        found = f"no pixel of {lines.size} lines meets the ground: the camera is at {camera}, {ground}"
+        warn_user(found, "ground-not-seen")
+    if crs is not None:
+        factors = _pyproj().Proj(_crs(crs)).get_factors(longitude, latitude)
+        scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda scale: abs(scale - 1.0))
+        warn_if(
+            abs(scale - 1.0) > _MAX_MAP_DISTORTION,
+            f"a metre of ground is {scale:.3g} m on the map {crs:.40}, so cells and areas are wrong; the "
+            f"UTM zone there is {utm_zone(latitude, longitude)}",
+            "crs-distorted",
+        )
 
 
 # --- poses -------------------------------------------------------------------------------------------------
@@ -1252,6 +1290,7 @@ def _call(function: Any, **inputs: Any) -> Any:
 # --- rasters of heights -----------------------------------------------------------------------------------
 
 
+_HEIGHTS_M = (-500.0, 9000.0)  # of the land on earth
 _MAX_UNEVENNESS_CELLS = 1e-3  # deviation of a raster's coordinates from even spacing
 
 
@@ -1286,6 +1325,13 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # ``height_reference`` that is not declared; all are listed. Raises `UnitsError`: The unit of heights
     # is not a length. Raises `MissingExtraError`: pyproj is not installed. Warns `PaintWarning`:
     # ``height_reference`` contradicts the crs.
+    SchemaError.raise_if(
+        not isinstance(dem, xr.DataArray),
+        f"the DEM is {type(dem).__name__}",
+        expected="a DataArray (y, x) of heights",
+        mend="open a file with rioxarray.open_rasterio; of a Dataset choose a variable: dataset['band_data']",
+        code="type-wrong",
+    )
     problems = Problems("this DEM cannot be used", SchemaError)
     dem = dem.squeeze(drop=True) if dem.ndim > 2 else dem
     axes: dict[str, tuple[float, float]] = {}
@@ -1416,8 +1462,18 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     for value in grid.missing:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
-    SchemaError.raise_if(np.isnan(elevation).all(), "this DEM contains only holes", code="dem-empty")
     elevation *= grid.metres
+    # a number that marks holes, such as -9999, and is not declared
+    is_false = (elevation < _HEIGHTS_M[0]) | (elevation > _HEIGHTS_M[1])
+    if is_false.any():
+        warn_user(
+            f"{is_false.sum()} heights of the DEM, such as {elevation[is_false][0]:g} m, are outside "
+            f"{_HEIGHTS_M[0]:g} to {_HEIGHTS_M[1]:g} m and are holes; declare the number that marks holes "
+            "as the attribute _FillValue",
+            "dem-heights",
+        )
+    elevation[is_false] = np.nan
+    SchemaError.raise_if(np.isnan(elevation).all(), "this DEM contains only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)

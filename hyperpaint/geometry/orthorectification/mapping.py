@@ -282,7 +282,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
 def _nothing_located() -> SchemaError:
     return SchemaError(
         "no two neighbouring pixels have ground positions, so there is nothing to map",
-        mend="look at the poses and at the quality's off_swath",
+        mend="compare the poses with the height of the ground or the extent of the DEM (flag off_swath)",
         code="ground-not-seen",
     )
 
