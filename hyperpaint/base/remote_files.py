@@ -25,7 +25,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from .errors import FormatError, MissingExtraError
+from .errors import FormatError, MissingExtraError, SchemaError
 
 #: ``https://...``, also after pathlib reduced ``//`` to ``/``; a drive of Windows has one letter.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
@@ -101,6 +101,12 @@ class UrlPath(type(Path())):  # type: ignore[misc]
 
 def as_path(path: str | os.PathLike[str]) -> Path:
     # Return a local path, also of ``file:///...``, or the URL in the form of a path; refuse a chained URL.
+    SchemaError.raise_if(
+        not isinstance(path, str | bytes | os.PathLike),
+        f"a path is {type(path).__name__}",
+        expected="a text or pathlib.Path, the name of a file",
+        code="type-wrong",
+    )
     url, text = url_of(path), os.fsdecode(path)
     FormatError.raise_if(
         url is None and _CHAINED.match(text) and not os.path.lexists(text),

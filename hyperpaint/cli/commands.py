@@ -1400,6 +1400,8 @@ def render(scene: Path, out: Path | None, picture: Path | None, **options: Any) 
     shadow, and shares of sun, sky, glint and indirect light. Run again, the command resumes an interrupted
     run and leaves a complete store unchanged.
     """
+    if picture is not None and picture.suffix:
+        check_picture(picture)
     out = out or scene.with_suffix(".zarr")
     outcome = workflows.rendering.run(scene, out, progress=is_watched(), **options)
     say_outcome(outcome)

@@ -36,6 +36,7 @@ from hyperpaint.base import (
     documented,
     is_plain_file,
     needs_extra,
+    one_of,
     rename_to_roles,
     schema,
 )
@@ -133,6 +134,12 @@ class Explored:
         # positions on the picture count from 0; regions of the user have the line and column numbers of the
         # line
         self._numbered = rename_to_roles(line)
+        SchemaError.raise_if(
+            not {ALONG_TRACK, CROSS_TRACK} <= set(self._numbered.dims),
+            f"dims ({', '.join(map(str, line.dims))})",
+            expected="a flight line (along_track, cross_track) or a map (y, x)",
+            code="dim-missing",
+        )
         is_upright = False
         self.is_map = bool(map_dims(self._numbered))
         if self.is_map:
@@ -1365,6 +1372,7 @@ def explore(
     1
     """
     require_panel()
+    one_of(theme, INK, "theme")
     if library is None:
         library = starter_library(members=0)
     elif isinstance(library, str | os.PathLike):

@@ -15,10 +15,20 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import ALONG_TRACK, CROSS_TRACK, Array, SchemaError, as_path, needs_extra, numbers_of
+from hyperpaint.base import (
+    ALONG_TRACK,
+    CROSS_TRACK,
+    Array,
+    SchemaError,
+    as_path,
+    is_number,
+    needs_extra,
+    numbers_of,
+)
 from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60
+_MIN_WIDTH_INCH = 2.0  # axes and their labels have no room in less
 #: Colours of curves, of Okabe and Ito for colour-blind readers.
 COLOURS = BLUE, VERMILION, GREEN, PURPLE, ORANGE, _ = (
     "#3399DD",
@@ -35,11 +45,25 @@ def new_figure(purpose: str, **options: Any) -> Any:
     # ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
     with needs_extra("matplotlib", "viz", purpose):
         from matplotlib.figure import Figure
+    width = options.get("figsize", (_MIN_WIDTH_INCH,))[0]
+    SchemaError.raise_if(
+        not (is_number(width) and width >= _MIN_WIDTH_INCH),
+        f"a figure {width!r} inches wide",
+        expected=f"at least {_MIN_WIDTH_INCH:g}",
+        code="value-out-of-range",
+    )
     return Figure(**options)
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    # Return the axes passed, or the axes of a new figure
+    # Return the axes passed, or the axes of a new figure; refuse anything else, such as an array of axes
+    SchemaError.raise_if(
+        axes is not None and not hasattr(axes, "get_subplotspec"),
+        f"axes= is {type(axes).__name__}",
+        expected="one Axes of matplotlib",
+        mend="choose one, such as axes[0]",
+        code="type-wrong",
+    )
     return new_figure(purpose, layout="constrained", **options).subplots() if axes is None else axes
 
 
@@ -60,7 +84,7 @@ _AXIS_HEIGHT_INCH = 0.5  # of ticks and the label of an axis
 
 def axes_width(axes: Any) -> float:
     # Return the width of the part of a figure reserved for axes and their labels [inch]
-    width, spec = float(axes.figure.get_size_inches()[0]), axes.get_subplotspec()
+    width, spec = float(axes.figure.bbox.width / axes.figure.dpi), axes.get_subplotspec()
     if spec is None:
         return width
     outer = spec.get_topmost_subplotspec()
@@ -123,9 +147,11 @@ def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
-    # Write a figure to ``path``, if any, and return it; an existing file is replaced atomically.
+    # Write a figure, or the figure of a subfigure, to ``path``, if any, and return it; an existing file is
+    # replaced atomically.
     # Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
     # written.
+    figure = figure.get_figure(root=True)
     if path is None:
         return figure
     path = as_path(path)

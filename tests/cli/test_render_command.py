@@ -358,6 +358,9 @@ def test_pictures_are_drawn(store: Path, tmp_path: Path) -> None:
     picture = tmp_path / "renders.png"
     hyperpaint("render", store.parent / "scene.toml", "--out", store, "--picture", picture, status=0)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    hyperpaint(
-        "render", store.parent / "scene.toml", "--out", store, "--picture", tmp_path / "a.xyz", status=2
+    # before anything is traced
+    result = hyperpaint(
+        "render", store.parent / "scene.toml", "--out", tmp_path / "a.zarr", "--picture", "a.xyz", status=2
     )
+    assert "suffix-unknown" in result.output
+    assert not (tmp_path / "a.zarr").exists()

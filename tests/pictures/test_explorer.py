@@ -103,6 +103,7 @@ def test_what_cannot_be_explored_is_refused() -> None:
         (SchemaError, "region-coordinates", lambda: Explored(line, hp.Regions(tuple(BEGIN), "map"))),
         (SchemaError, r"ring.*region-holes", lambda: Explored(line, holed)),
         (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
+        (SchemaError, "dim-missing", lambda: Explored(line.isel(along_track=3))),
     )
 
 

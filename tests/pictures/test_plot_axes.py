@@ -1,6 +1,7 @@
 """What lies on the axes of pictures: spectra, flags and layers, adjacency, and the ground."""
 
 import errno
+import io
 import sys
 from functools import partial
 from pathlib import Path
@@ -84,6 +85,13 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
     )
 
 
+def test_axes_may_be_of_a_subfigure(line: xr.Dataset, tmp_path: Path) -> None:
+    figure = Figure(layout="constrained")
+    axes = figure.subfigures(1, 2)[0].subplots()
+    assert spectrum(line, pixels=(0, 0), axes=axes, path=tmp_path / "a.png") is figure
+    assert flag_overlay(line, axes=axes) is figure
+
+
 def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
     good = np.ones(24, bool)
     good[5] = False
@@ -132,6 +140,9 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
     expect_errors(
         (SchemaError, r"whole.*type-wrong", lambda: spectrum(line, pixels=(0.5, 1.0))),
         (SchemaError, "curve-number", lambda: spectrum(line, pixels=[(0, 0)] * 25)),
+        (SchemaError, "type-wrong", lambda: spectrum(line, pixels=(0, 0), axes=Figure().subplots(2))),
+        (SchemaError, "type-wrong", lambda: spectrum(line, pixels=(0, 0), path=io.BytesIO())),
+        (SchemaError, "value-out-of-range", lambda: spectrum(line, pixels=(0, 0), width=1.0)),
     )
 
 
