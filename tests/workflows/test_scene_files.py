@@ -142,6 +142,19 @@ unit_m = 2.0
     ) == (("paint", 0.2), ("glass", 1.6))
 
 
+def test_patterns_begin_outside_the_folder_as_paths_may(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "asd").mkdir()
+    for name in ("a.asd", "b.asd"):
+        (tmp_path / "asd" / name).touch()
+    light = "[[atmospheres]]\nname = 'a'\nirradiance = '../asd/*.asd'\ntime = 2021-09-27T16:55:55\n"
+    light += "sun_zenith_deg = 40\nsun_azimuth_deg = 180\ndirect_fraction = 0.8\n"
+    path = write(SMALL + light)
+    inner = tmp_path / "inner" / "scene.toml"
+    inner.parent.mkdir()
+    path.rename(inner)
+    assert [file.name for file in read_scene_file(inner).atmospheres[-1].irradiance] == ["a.asd", "b.asd"]
+
+
 def test_light_may_come_from_a_table_or_be_changed(write: Write, tmp_path: Path) -> None:
     rows = "\n".join(f"{nm},1.0,0.2" for nm in range(340, 1101, 5))
     (tmp_path / "light.csv").write_text(f"wavelength [nm],sun [W m-2 nm-1],sky [W m-2 nm-1]\n{rows}\n")

@@ -359,7 +359,6 @@ class Collect:
 
 class _Reader(TableReader):
     # Reader of a collect's tables; `dark` may be a word instead of a table
-    outside = True  # files may lie outside the collect's folder
     by_ranges = ("cube", "cubes", "white", "dark")
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:

@@ -644,8 +644,6 @@ class TableReader:
     #
     # Attribute ``tables``: the valid keys of every table of the schema. In each, ``"?"`` is the set of keys
     # in the file, with wrong values too. ``given``: names of the tables in the file.
-    #: Whether patterns may begin outside the folder of the file, as plain paths may.
-    outside = False
     #: Keys of files that are read by ranges of bytes, and not copied from URLs.
     by_ranges: Collection[str] = ()
 
@@ -773,18 +771,18 @@ class TableReader:
                 if (path := self.path(place, key, text)) is not None:
                     paths.append(path)
                 continue
-            # the folders before the first wildcard, such as ``../asd``, may leave the folder
+            # the folders before the first wildcard, such as ``../asd``, may leave the folder, as paths may
             parts = Path(text).parts
             folders = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
-            base, pattern = (
-                (str(Path(*folders)), "/".join(parts[len(folders) :])) if self.outside else ("", text)
-            )
+            base, pattern = str(Path(*folders)), "/".join(parts[len(folders) :])
             folder = self._place(base)
             try:
                 matches = [] if folder is None else matching_files(folder, pattern)
             except ValueError as error:
                 self.problems.add(
-                    f"{place} {key} = {shown(text)}: {error}", mend="shorten it", code="pattern-invalid"
+                    f"{place} {key} = {shown(text)}: {error}",
+                    mend="name the files, or their folder",
+                    code="pattern-invalid",
                 )
                 continue
             for match in filter(_is_special, matches):  # reported, since a missing match would not be noticed

@@ -118,8 +118,9 @@ _HEADINGS = ("paint", "name", "signature", "region")
 def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     r"""Read the assignment of references to paints.
 
-    path: Lines of paint and reference, separated by a comma, with or without headings; a paint may have
-        several lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
+    path: Lines of paint and reference, separated by a comma, semicolon or tab, with or without headings; a
+        paint may have several lines. Or a JSON object of paints, each with one name or a list of them
+        (``.json``).
     Returns dict: Names of references by names of paints, in the order of the file.
     Raises FormatError: The file has another content; the first problems are listed.
 
@@ -159,9 +160,13 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
                     code="type-wrong",
                 )
         else:
-            line_number = 0
+            line_number, rows = 0, text.splitlines()
+            # the separator that all rows have; spreadsheets of many countries write semicolons
+            filled_rows = [row for row in rows if row.strip(" ,;\t") and not row.lstrip().startswith("#")]
+            separators = (sign for sign in ",;\t" if all(sign in row for row in filled_rows))
             try:
-                for line_number, row in enumerate(csv.reader(text.splitlines(), strict=True), 1):
+                table = csv.reader(rows, delimiter=next(separators, ","), strict=True)
+                for line_number, row in enumerate(table, 1):
                     cells = [cell.strip() for cell in row]
                     if not any(cells) or cells[0].startswith("#"):
                         continue

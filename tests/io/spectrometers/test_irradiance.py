@@ -532,6 +532,12 @@ def test_real_certificates(shared_data: Path) -> None:
     [
         ("p.csv", "paint,reference\na,b\na,c\nd,e\na,b\n", {"a": ("b", "c"), "d": ("e",)}),
         ("p.csv", '\ufeff"a, b",x\n# note\n\nümlaut , y \n', {"a, b": ("x",), "ümlaut": ("y",)}),
+        ("p.csv", "paint;reference\na;b\n;\n", {"a": ("b",)}),
+        (
+            "p.csv",
+            "a;1,b\nc,d;2\n# note, too\n",
+            {"a;1": ("b",), "c": ("d;2",)},
+        ),  # commas in all rows separate
         ("p.json", '{"a": "b", "c": ["d", "e"]}', {"a": ("b",), "c": ("d", "e")}),
     ],
 )
