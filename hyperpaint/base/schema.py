@@ -96,15 +96,15 @@ class Variable:
         is_allowed = any(
             set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims
         )
-        return (
-            None
-            if is_allowed
-            else Problem(
-                f"{self.name!r} has dims ({', '.join(map(str, array.dims))})",
-                expected=" or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims),
-                mend=self._mend_of_dims(array),
-                code="dims-wrong",
-            )
+        if is_allowed:
+            return None
+        mend = self._mend_of_dims(array)
+        return Problem(
+            f"{self.name!r} has dims ({', '.join(map(str, array.dims))})",
+            expected=" or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims),
+            mend=mend,
+            option=mend.partition(", or name them with dims=")[0],
+            code="dims-wrong",
         )
 
     def _mend_of_dims(self, array: xr.DataArray) -> str:

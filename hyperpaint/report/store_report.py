@@ -397,7 +397,11 @@ def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | Non
             compute_into(lazy, values)
     # the line is shown even if detection fails; drawing reports damaged data again
     except Exception as error:
-        return line, f"{_SCENE_FLAGS} could not be detected: {message_of(error)}"
+        # without the remedy, since not every caller has its argument
+        cause = message_of(error)
+        if isinstance(error, PaintError) and not error.problem.inner:
+            cause = f"{error.problem.found:.1000}"
+        return line, f"{_SCENE_FLAGS} could not be detected: {cause}"
     arrays = {
         name: flags[name].reset_coords(drop=True).copy(data=array)
         for name, array in zip(names, values, strict=True)
@@ -1038,7 +1042,7 @@ def write_site(
         drawn = {"colours": colours, "outlines": list(outlines.values())}
         libraries.append({"name": name, "group": path, "variables": names, **drawn})
     for name, note in notes.items():
-        warn_if(note, f"/{name}: {note}", "group-not-shown")
+        warn_if(note, f"/{name}: {note}", "flags-not-searched")
     StoreError.raise_if(
         not shown,
         f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",

@@ -238,6 +238,12 @@ def test_the_report_shows_what_is_found(
         done = run("report", nowhere, "--out", tmp_path / f"{number}.html", *options)
         assert done.exit_code == 0, done.output
         assert text in (tmp_path / f"{number}.html").read_text()
+    done = run("site", nowhere, "--out", tmp_path / "site")
+    assert (done.exit_code, "flags-not-searched" in done.output, "sun_zenith" in done.output) == (
+        0,
+        True,
+        False,
+    )
 
 
 @pytest.mark.slow

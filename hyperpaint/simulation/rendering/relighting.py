@@ -553,6 +553,7 @@ class SpectrumReader:
                 f"spectrum {name!r} ranges from {values.min():.4g} to {values.max():.4g}",
                 expected="0 to 1",
                 mend="divide per cent by 100, or pass clip=True",
+                option="divide per cent by 100",
                 code="value-out-of-range",
             )
         return spectrum
