@@ -993,7 +993,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         return
     yield from _judge_changes(name, spectra, times, line["time"].values)
     has_value = np.isfinite(spectra)
-    is_hole = ~has_value[:, has_value.mean(axis=0) > 0.5].all()
+    known = has_value.mean(axis=0)
+    is_hole = ~has_value[:, known > 0.5 * known.max()].all()
     for fault in str(line.attrs.get(FAULTS_ATTR, "")).splitlines():
         code, _, found = fault.partition(": ")
         # scans that were left out may be of another flight line

@@ -87,6 +87,20 @@ def test_light_that_cannot_be_is_missing(value: float) -> None:
     assert not (found["quality"] & np.uint16(Quality.ILLUMINATION_UNSTABLE)).any()
 
 
+@pytest.mark.parametrize(("every", "dark"), [(5, 1), (2, 1), (30, 6)])
+@pytest.mark.parametrize("level", [0.0, 1e-3])
+def test_scans_of_a_closed_shutter_are_left_out(every: int, dark: int, level: float) -> None:
+    nm, scan = np.arange(400.0, 1000.0), np.arange(60)
+    is_dark, rng = (scan + every // 2) % every < dark, np.random.default_rng(every)
+    stamps = np.datetime64("2024-06-01T12", "ns") + scan * np.timedelta64(2, "s")
+    cloud = 0.1 + 0.9 / (1.0 + np.exp((scan - 30.0) / 8.0))[:, None]
+    values = np.where(is_dark[:, None], level, 1.0) * cloud * (1.2 - nm / 2000.0)
+    values += 1e-4 * rng.normal(size=values.shape)
+    kept, faults = judge_record(nm, stamps, values)
+    assert (np.isfinite(kept).all(axis=1) == ~is_dark).all()
+    assert [fault.code for fault in faults] == ["irradiance-scans"]
+
+
 @pytest.mark.parametrize(("scans", "clouded"), [(5, 1), (5, 2), (6, 3)])
 def test_a_cloud_at_the_end_of_a_short_record_stays(scans: int, clouded: int) -> None:
     nm, stamps = np.arange(400.0, 1000.0), np.datetime64("2024-06-01T12", "ns") + np.arange(scans) * 10**10

@@ -59,6 +59,11 @@ RULES = SimpleNamespace(
     steady=0.25,
     weather=8,
     most=(0.15, 0.85),
+    # Light of up to ``weather`` scans in a row over the light of the scans around [1], under which the
+    # shutter was closed: no cloud takes 99 %; share of the scans up to which such scans are left out [1]:
+    # every second one.
+    shutter=0.01,
+    shutter_share=0.55,
     # Number of scans from which scans are compared with their neighbours.
     least_scans=5,
     # Longest time between the scans before and after [s]: a cloud of 100 m needs 7 s or more to pass.
@@ -86,7 +91,7 @@ FAULTS_ATTR = "irradiance_faults"
 RECORD = "irradiance record"
 #: Number of scans whose median is the level of a channel.
 _MAX_LEVEL_SCANS = 256
-#: Number of channels that show whether all channels have one value.
+#: Number of channels that show the light of a scan, and whether all channels have one value.
 _MAX_FLAT_CHANNELS = 100
 
 
@@ -122,9 +127,23 @@ def judge_record(
     values[np.isinf(values)] = np.nan  # such as counts over a gain of zero
     in_light = (wavelength >= JUDGED_NM[0]) & (wavelength <= JUDGED_NM[1])
     judged = in_light if in_light.any() else np.ones(wavelength.size, bool)
-    defined = np.isfinite(values)
     faults: list[Problem] = []
     stamps = np.datetime_as_string(times.astype("datetime64[ns]"), "ms")
+    sampled = np.flatnonzero(judged)[:: max(1, judged.sum() // _MAX_FLAT_CHANNELS)]
+    light = _median(values[:, sampled], axis=1)
+    is_dark = _shutter_scans(light)
+    if is_dark.any():
+        first = int(np.argmax(is_dark))
+        faults.append(
+            Problem(
+                f"{is_dark.sum()} of {len(values)} scans are left out: values are zero or under "
+                f"{100 * RULES.shutter:g} % of the scans around, as behind a closed shutter, such as "
+                f"{light[first]:.4g} at {stamps[first]}",
+                code="irradiance-scans",
+            )
+        )
+        values[is_dark] = np.nan
+    defined = np.isfinite(values)
     lost_scans, lost_channels = np.zeros(len(values), bool), np.zeros(wavelength.size, bool)
 
     def leave_out(is_wrong: Bools, reason: str) -> None:
@@ -158,7 +177,7 @@ def judge_record(
 
     rows = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MAX_LEVEL_SCANS)).astype(int))
     leave_out(~(values > 0.0), "zero, negative (darker than the dark) or a fill value")
-    sample = values[:, np.flatnonzero(judged)[:: max(1, judged.sum() // _MAX_FLAT_CHANNELS)]]
+    sample = values[:, sampled]
     is_flat = (sample == _median(sample, axis=1)[:, None]).mean(axis=1) > RULES.flat_share
     is_flat &= is_flat.sum() < 0.5 * np.isfinite(values).any(axis=1).sum()  # not a made-up record
     leave_out(np.broadcast_to(is_flat[:, None], values.shape), "a fill value: the same in all channels")
@@ -255,6 +274,22 @@ def _smooth(level: Floats) -> Floats:
         return np.full(level.shape, np.inf)
     smooth = ndimage.median_filter(level[known], min(RULES.window, known.size), mode="nearest")
     return np.asarray(np.interp(np.arange(level.size), known, smooth))
+
+
+def _shutter_scans(light: Floats) -> Bools:
+    # Return the scans in valleys of the light (scan,) that no cloud makes; fill values are no light
+    from scipy import ndimage
+
+    median = _median(light[None], axis=1)[0]
+    known = light <= max(RULES.max_irradiance, RULES.spike * float(np.nan_to_num(median)))
+    is_dark = np.zeros(light.shape, bool)
+    if known.any():
+        top = max(float(np.quantile(light[known], 0.9)), 0.0)
+        level = np.clip(light[known], 0.0, top)
+        # a closing fills valleys of fewer scans and keeps wider ones, in which noise is no light
+        around = ndimage.grey_closing(level, RULES.weather + 1)
+        is_dark[known] = (level < RULES.shutter * around) & (around > RULES.shutter * top)
+    return is_dark if is_dark.mean() <= RULES.shutter_share else np.zeros(light.shape, bool)
 
 
 def _unlike_scans(levels: Floats, seconds: Floats) -> Indices:
