@@ -497,8 +497,8 @@ _ROWS = (
     ),
     Kind(
         "irradiance-constant",
-        "All spectra of irradiance are bit-identical, or those during the line are: the spectrometer had "
-        "stopped.",
+        "All spectra of irradiance are bit-identical, or those during the line or a part of it are: the "
+        "spectrometer had stopped.",
         "name the record of this flight, with spectra measured during the line",
     ),
     Kind(
@@ -959,6 +959,11 @@ RECORD_RULES = SimpleNamespace(
     # Length of the longest run of equal spectra over the median of the other runs [1], above which it is
     # reported: loggers write every reading several times.
     still_factor=3.0,
+    # Share of the lines [1] within a run that does not cover them all, above which it is reported: loggers
+    # stall for a second or two.
+    still_line_share=0.1,
+    # Share of the channels [1] that differ between unequal spectra, from which such a run is no rounding.
+    exact_share=0.5,
     # Accepted irradiance over that of a clear sky [1]: a thunderstorm transmits 0.02, sides of clouds add
     # 0.5.
     least_share=0.015,
@@ -1026,8 +1031,16 @@ def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -
     start, end = starts[run], starts[run] + lengths[run] - 1
     median_length = float(np.median(np.delete(lengths, run))) if lengths.size > 1 else 1.0
     line_times = line_times[~np.isnat(line_times)]
-    covers = line_times.size and times[start] <= line_times.min() and line_times.max() <= times[end]
-    if lengths[run] == len(spectra) or (covers and lengths[run] > RECORD_RULES.still_factor * median_length):
+    covered = np.mean((times[start] <= line_times) & (line_times <= times[end])) if line_times.size else 0.0
+    # a run within the line, or over one end of it, is compared with the longest of the others; rounded values
+    # of a steady light stay equal in most channels also where spectra differ
+    usual_length, is_exact = median_length, True
+    if covered < 1.0 and lengths[run] < len(spectra):
+        usual_length = np.delete(lengths, run).max(initial=2)
+        is_exact = (spectra[1:] != spectra[:-1])[~is_repeat].mean() > RECORD_RULES.exact_share
+    is_still = covered > RECORD_RULES.still_line_share and is_exact
+    is_still &= lengths[run] > RECORD_RULES.still_factor * usual_length
+    if lengths[run] == len(spectra) or is_still:
         seconds = (times[end] - times[start]) / np.timedelta64(1, "s")
         yield Finding(
             KINDS["irradiance-constant"],

@@ -212,6 +212,32 @@ def test_irradiance_over_that_of_a_clear_sky(share: float, named: list[str], mon
     assert [f.kind.name for f in judge_irradiance("line", line)] == named
 
 
+@pytest.mark.parametrize(
+    ("stuck", "repeats", "step", "named"),
+    [
+        (slice(50, 90), 1, 1e-6, True),  # from the middle of the line on
+        (slice(50, 62), 1, 1e-6, True),
+        (slice(50, 54), 1, 1e-6, False),  # a stall of the logger
+        (slice(5, 38), 1, 1e-6, False),  # before the line
+        (slice(50, 70), 3, 1e-6, True),
+        (slice(50, 57), 3, 1e-6, False),
+        (slice(50, 90), 1, 0.01, False),  # two digits of a steady light
+    ],
+)
+def test_spectra_that_stay_equal_over_a_part_of_the_line(
+    stuck: slice, repeats: int, step: float, named: bool
+) -> None:
+    scan = np.arange(90) // repeats * repeats
+    scan[stuck] = scan[stuck][0]
+    spectra = (np.random.default_rng(5).normal(1.0, 0.002, (90, 5))[scan] / step).round() * step
+    time = np.datetime64("2024-06-01T12", "ns") + np.arange(90) * np.timedelta64(1, "s")
+    line = xr.Dataset(
+        {"irradiance": (("irradiance_time", "irradiance_wavelength"), spectra)},
+        {"irradiance_time": time, "irradiance_wavelength": np.arange(5) * 50.0 + 500.0},
+    ).assign_coords(time=("line", time[40:80]))
+    assert ("irradiance-constant" in {f.kind.name for f in judge_irradiance("line", line)}) == named
+
+
 @pytest.mark.parametrize(("share", "name"), [(1.4e-3, "stray-counts"), (3e-3, "counts-over-range")])
 def test_share_of_elements_over_the_range(share: float, name: str) -> None:
     maximum = np.where(np.arange(10_000) < 10_000 * share, 5000.0, 100.0)
