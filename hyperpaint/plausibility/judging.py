@@ -77,9 +77,11 @@ RULES = SimpleNamespace(
     # Range of factors around the estimate within which slips are named [1].
     slip_range=2.5,
     # Smallest common divisor of counts that is reported, and range of reflectance of the brightest pixels in
-    # which counts with a divisor are nevertheless right [1].
+    # which counts with a divisor are nevertheless right [1]; number of steps up to saturation below which
+    # they are reported at any reflectance: left-justified counts of 10 bits have 1024.
     multiple=4,
     known_top=(0.1, 1.05),
+    least_steps=512,
     # Light above which elements are compared [count].
     least_light=20.0,
     # Minimum number of differences between elements.
@@ -151,6 +153,7 @@ class Product(NamedTuple):
     wavelength: Floats  # (band,) [nm]
     lines: int  # Number of lines in the sample
     divisor: int  # Greatest common divisor of all counts
+    saturation: float  # Count from which elements are saturated
     reflectance: Floats | None  # (block, band, column) [1], None where unknown
     full_scale: Floats | None  # (band,) reflectance at which the band saturates [1], None where unknown
     share: float  # Irradiance over that of a clear sky [1], NaN where unknown
@@ -167,13 +170,15 @@ def judge_product(name: str, product: Product) -> Iterator["Finding"]:
         yield from findings
         yield from _jump(name, product, product.reflectance)
     if product.divisor >= RULES.multiple and product.divisor.bit_count() == 1:
-        low, high = RULES.known_top
+        (low, high), steps = RULES.known_top, product.saturation / product.divisor
         yield Finding(
             KINDS["counts-multiple"],
             name,
-            f"all counts are multiples of {product.divisor}: left-justified, or shifted by a program",
-            f"counts in steps of 1, or reflectance of the brightest pixels of {low:g} to {high:g}",
-            low <= top <= high,
+            f"all counts are multiples of {product.divisor}, with {steps:.3g} steps up to saturation: "
+            "left-justified, shifted by a program, or without their low bits",
+            f"counts in steps of 1, or reflectance of the brightest pixels of {low:g} to {high:g} and "
+            f"{RULES.least_steps} steps",
+            low <= top <= high and steps >= RULES.least_steps,
         )
     yield from _gain(name, product)
     yield from _smile(name, product)
@@ -592,8 +597,9 @@ _ROWS = (
     ),
     Kind(
         "counts-multiple",
-        "All counts share a divisor: a converter of fewer bits was shifted up.",
-        "shift counts and dark down, and set bit_depth in [camera]; nothing if the gain is shifted too",
+        "All counts share a divisor: a converter of fewer bits was shifted up, or low bits were lost.",
+        "shift counts and dark down and set bit_depth in [camera], or export all bits; nothing if the gain "
+        "is shifted too",
         refused=False,
     ),
     Kind(
@@ -1757,6 +1763,7 @@ def _product(
         wavelength,
         sample.lines,
         sample.divisor,
+        saturation_limit,
         reflectance,
         full_scale,
         share,

@@ -331,8 +331,8 @@ def _product(factor: float = 1.0, white: float = 0.0, **changes: Any) -> Product
     sky = np.stack([_sky(NM + shift) for shift in SHIFT], axis=1)
     light = 4000.0 * ground * sky / GAIN
     right = Product(
-        light + RNG.normal(size=light.shape) * np.sqrt(light / 320.0), GAIN, NM, 128, 1, factor * ground,
-        np.full(BANDS, 1.2 * factor), 1.0, 40.0, SHIFT, _sky,
+        light + RNG.normal(size=light.shape) * np.sqrt(light / 320.0), GAIN, NM, 128, 1, 65520.0,
+        factor * ground, np.full(BANDS, 1.2 * factor), 1.0, 40.0, SHIFT, _sky,
     )  # fmt: skip
     return right._replace(**changes)
 
@@ -368,6 +368,7 @@ def _edge(columns: int) -> Product:
         (_product(2.0), set()),
         (_product(1.6, zenith=75.0), set()),
         (_product(divisor=16), set()),
+        (_product(divisor=16, saturation=4090.0), {"counts-multiple"}),
         (_product(gain=np.broadcast_to(GAIN.mean(axis=1, keepdims=True), GAIN.shape)), set()),
         (_product(shift=None, irradiance_at=None, reflectance=None), set()),
         (_edge(17), set()),
