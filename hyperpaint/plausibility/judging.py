@@ -554,6 +554,12 @@ _ROWS = (
         refused=False,
     ),
     Kind(
+        "stuck-elements",
+        "Elements of the detector hold one count in all lines, while the columns beside them change.",
+        "set the gain of these elements to NaN in the calibration, or leave these columns out of regions",
+        refused=False,
+    ),
+    Kind(
         "navigation-still",
         "The platform does not move along the line.",
         "name the navigation of this flight, or none",
@@ -702,6 +708,9 @@ SAMPLE_RULES = SimpleNamespace(
     counter_lines=30,
     counter_spread=0.1,
     counter_share=0.8,
+    # Range of the counts of both neighbouring columns from which an element that never changes is stuck
+    # [steps of the converter].
+    stuck_range=20.0,
 )
 
 
@@ -714,6 +723,7 @@ class CubeSample:
     divisor: int  #: Greatest common divisor of all counts
     counters: Bools  #: Elements that count lines; only columns at the edges are examined
     blocks: Floats | None = None  #: Means of the blocks (block, band, cross_track)
+    stuck: Bools | bool = False  #: Elements of one count in all lines, while the columns beside them change
 
 
 def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
@@ -727,7 +737,7 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
     )
     shape = counts.shape[1:]
     sums = np.zeros(shape)
-    maximum = np.full(shape, -np.inf)
+    maximum, minimum = np.full(shape, -np.inf), np.full(shape, np.inf)
     lines, divisor = 0, 0
     steps: list[Floats] = []
     means: list[Floats] = []
@@ -740,19 +750,21 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
         block_sum = block.sum(axis=0, dtype=np.float64)
         means.append(block_sum / len(block))
         sums += block_sum
-        maximum = np.maximum(maximum, block.max(axis=0))
+        maximum, minimum = np.maximum(maximum, block.max(axis=0)), np.minimum(minimum, block.min(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
         steps.append(np.diff(block[:, :, edges].astype(np.float64), axis=0))
     if not lines:
         return None
     # a counter or a time stamp goes on by the same step from line to line, except where it begins anew
     step = np.concatenate(steps)
-    counters = np.zeros(shape, bool)
+    counters, stuck, change = np.zeros(shape, bool), np.zeros(shape, bool), maximum - minimum
     if len(step) >= SAMPLE_RULES.counter_lines:
         usual = np.median(step, axis=0)
         is_usual = np.abs(step - usual) <= SAMPLE_RULES.counter_spread * np.abs(usual)
+        beside = np.minimum(change[:, :-2], change[:, 2:])
+        stuck[:, 1:-1] = (change[:, 1:-1] == 0.0) & (beside >= SAMPLE_RULES.stuck_range * divisor)
         counters[:, edges] = (usual != 0) & (is_usual.mean(axis=0) >= SAMPLE_RULES.counter_share)
-    return CubeSample(lines, sums / lines, maximum, divisor, counters, np.stack(means))
+    return CubeSample(lines, sums / lines, maximum, divisor, counters, np.stack(means), stuck)
 
 
 # -- Check the order of the bands by the solar lines and absorption bands in the cube.
@@ -1695,6 +1707,17 @@ def _judge_sample(
         .transpose(BAND, CROSS_TRACK)
         .values.astype(np.float64)
     )
+    # elements at saturation are flagged, and those without a gain are no elements
+    stuck = np.argwhere(sample.stuck & np.isfinite(gain) & (sample.maximum < saturation_limit)).tolist()
+    if stuck:
+        band, column = stuck[0]
+        yield Finding(
+            KINDS["stuck-elements"],
+            name,
+            f"{len(stuck)} elements never change, such as band {band} of column {column} with "
+            f"{sample.maximum[band, column]:g} counts, while the columns beside them do",
+            "light in every element",
+        )
     dark, is_measured = mean_dark(line)
     daylight, record, fwhm = None, None, 5.0
     if "wavelength" in line.coords:

@@ -16,6 +16,7 @@ from hyperpaint.plausibility.judging import (
     judge_navigation,
     judge_range,
     judge_top,
+    sample_cube,
 )
 from hyperpaint.radiometry.planning import LightLevel
 
@@ -236,6 +237,17 @@ def test_spectra_that_stay_equal_over_a_part_of_the_line(
         {"irradiance_time": time, "irradiance_wavelength": np.arange(5) * 50.0 + 500.0},
     ).assign_coords(time=("line", time[40:80]))
     assert ("irradiance-constant" in {f.kind.name for f in judge_irradiance("line", line)}) == named
+
+
+@pytest.mark.parametrize("divisor", [1, 16])
+def test_elements_that_never_change_between_columns_that_do(divisor: int) -> None:
+    ground = 100.0 + 900.0 * np.random.default_rng(4).random((64, 6, 12))
+    ground[:, :, :2], ground[:, 0] = 20.0, 105.0  # masked columns, and a band without light
+    ground[:, :, 7] = 500.0
+    counts = (divisor * ground.round()).astype("u2")
+    sample = sample_cube(xr.DataArray(counts, dims=("line", "band", "column")), np.ones(64, bool))
+    assert sample is not None
+    assert np.argwhere(sample.stuck).tolist() == [[band, 7] for band in range(1, 6)]
 
 
 @pytest.mark.parametrize(("share", "name"), [(1.4e-3, "stray-counts"), (3e-3, "counts-over-range")])
