@@ -953,6 +953,12 @@ def find(
     return arrays, problems
 
 
+def with_band_dim(library: xr.Dataset) -> xr.Dataset:
+    # Return a library with the dim ``band``, also after ``swap_dims(band="wavelength")``.
+    is_swapped = "wavelength" in library.dims and BAND not in library.dims and SIGNATURE in library.variables
+    return library.swap_dims(wavelength=BAND) if is_swapped else library
+
+
 def dtype_of(name: str) -> np.dtype[Any]:
     return np.dtype(VARIABLES[name].dtype)
 

@@ -49,6 +49,7 @@ from hyperpaint.base import (
     require,
     takes_quantities,
     warn_user,
+    with_band_dim,
 )
 from hyperpaint.light.coat_transmission import (
     COAT_INDEX,
@@ -821,6 +822,7 @@ def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[
         mend="open it with quantity='reflectance'",
         code="variable-missing",
     )
+    dataset = with_band_dim(dataset)
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
         return _library_spectra(dataset, number, fwhm, "library")
@@ -1960,7 +1962,7 @@ def validate(
         expected="a paint library (xarray.Dataset)",
         code="type-wrong",
     )
-    paints = list(_library_spectra(signatures, 0, None, "band"))
+    paints = list(_library_spectra(with_band_dim(signatures), 0, None, "band"))
     matched, unpaired_signatures, unpaired_references, missing = paired(
         paints, reference_spectra, pairs, place_accuracy
     )

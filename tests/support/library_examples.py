@@ -6,7 +6,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.schema import LIBRARY_VARIABLES, quality_attrs
 
-NAMES = ["red, matt", "Grün", "Grün", 'a/b "x" | c {d}', ""]
+NAMES = ["red, matt", "Grün", "Grün (2)", 'a/b "x" | c {d}', ""]
 
 
 def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:

@@ -11,6 +11,7 @@ import csv
 import itertools
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,6 +46,8 @@ from hyperpaint.base import (
     listed,
     one_of,
     takes_quantities,
+    warn_user,
+    with_band_dim,
     with_integer_dtypes,
     with_new_names,
 )
@@ -56,6 +59,7 @@ from hyperpaint.io.files.reading import (
     numbers,
     read_limited_text,
     refuse,
+    unique_names,
 )
 from hyperpaint.io.spectrometers.spectrum_texts import (
     MEAN,
@@ -108,6 +112,7 @@ from .spectra_files import (
     spectral_variables,
     text_column,
     warn_of_light,
+    warn_of_scale,
     with_numbers_as_data,
     write_csv_library,
     write_envi_library,
@@ -408,7 +413,7 @@ def open_library(
     xarray.Dataset
         `reflectance` (signature, band) float32 [1], NaN for missing samples; coordinates `signature`,
         `wavelength` [nm] in the order of the file, which may be descending; `fwhm` [nm], `good`, and further
-        columns of the file. Names are as in the file, duplicates included. Error bars of the USGS are
+        columns of the file. Names are as in the file; repeated names are numbered. Error bars of the USGS are
         `reflectance_u_random`. Attributes: `source`, `format`, and `notes` on inferred properties. A library
         of hyperpaint is returned as it was written; a Zarr store lazily.
 
@@ -424,8 +429,9 @@ def open_library(
     -----
     PaintWarning
         The library is of hyperpaint 0.2 or before: its dimension `paint` is renamed `signature`. Names or
-        metadata are missing, or an inferred property may make values wrong. Spectra have the oxygen band of
-        sunlight, as radiance and irradiance do. Rows of standard deviations are left out.
+        metadata are missing, names repeated or wavelengths out of order, or an inferred property may make
+        values wrong. Spectra have the oxygen band of sunlight, as radiance and irradiance do. Rows of
+        standard deviations are left out.
 
     Examples
     --------
@@ -483,7 +489,7 @@ def open_library(
         rows = [row for row in _structure(library) if row[0] and row[1] == "structure"]
         reasons = "; ".join(f"{found}, expected {expected}" for _, _, found, expected in rows)
         FormatError.raise_if(rows, f"{path} holds no paint library: {reasons}", code="library-missing")
-        return library
+        return _with_distinct_names(library, str(path))
     files = find_paths(
         path,
         lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in SPECTRUM_SUFFIXES]),
@@ -491,7 +497,7 @@ def open_library(
         lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
     )
     if len(files) == 1:
-        return _opened(files[0], options)
+        return _with_distinct_names(_opened(files[0], options), files[0].name)
     with Problems("the library cannot be opened", FormatError) as problems:
         opened = []
         for file in files:
@@ -501,7 +507,21 @@ def open_library(
                 problems.add_error("", error)
                 if len(problems) == _MAX_SHOWN:
                     break
-    return _joined(opened)
+    return _with_distinct_names(_joined(opened), f"{len(files)} files")
+
+
+def _with_distinct_names(library: xr.Dataset, source: str) -> xr.Dataset:
+    # The library with numbers after repeated names: results by name would show one of the paints
+    names = list(map(str, library[SIGNATURE].values))
+    distinct = unique_names(names)
+    if distinct == names:
+        return library
+    changed = [new for old, new in zip(names, distinct, strict=True) if new != old]
+    warn_user(
+        f"{source}: names of paints occur more than once and are numbered: {', '.join(changed[:5])}",
+        "paint-duplicate",
+    )
+    return library.assign_coords({SIGNATURE: (SIGNATURE, text_column(distinct), library[SIGNATURE].attrs)})
 
 
 # --- which files -------------------------------------------------------------------------------------------
@@ -623,6 +643,14 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         ) from error
     if not is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
+    nm = library["wavelength"].values
+    steps = np.diff(nm)
+    direction = 1 if 2 * (steps > 0).sum() >= steps.size else -1
+    # where detectors overlap, the wavelengths turn back, but never before the start of the last detector
+    starts = nm[np.append(0, np.flatnonzero(direction * steps < 0) + 1)]
+    if (direction * np.diff(starts) < 0).any():
+        warn_user(f"{path.name}: the wavelengths are out of order; they are sorted", "wavelength-unordered")
+        library = library.isel({BAND: np.argsort(direction * nm, kind="stable")})
     return library
 
 
@@ -812,6 +840,16 @@ def write_library(
     elif chosen == "csv" and not suffix and not path.is_dir():
         path = path.with_suffix(".csv")
     library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
+    repeated = [str(name) for name, count in Counter(library[SIGNATURE].values.tolist()).items() if count > 1]
+    SchemaError.raise_if(
+        repeated,
+        f"names of paints occur more than once: {', '.join(map(repr, repeated[:5]))}",
+        expected="a unique name for every paint",
+        mend="name the paints anew by assign_coords(signature=[...])",
+        code="paint-duplicate",
+    )
+    if library[CENTRE].chunks is None:
+        warn_of_scale(library[CENTRE].transpose(SIGNATURE, BAND).values, "the reflectance of the library")
     if curves == "centre" or (curves is None and chosen != "zarr"):
         others = [name for name in spectral_variables(library) if name != CENTRE]
         library = library.drop_vars(others).drop_dims(
@@ -945,7 +983,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     source, dataset = (
         (os.fspath(library), open_library(library))
         if isinstance(library, str | os.PathLike)
-        else (str(library.attrs.get("source", "the library")), with_new_names(library))
+        else (str(library.attrs.get("source", "the library")), with_band_dim(with_new_names(library)))
     )
     findings: list[LibraryFinding] = []
     for rules in (_structure, _paints, _populations, _declarations):

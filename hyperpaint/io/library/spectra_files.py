@@ -74,6 +74,7 @@ from hyperpaint.base import (
     warn_if,
     warn_of_old_names,
     warn_user,
+    with_band_dim,
 )
 from hyperpaint.io.envi.envi_cubes import (
     MAX_LIBRARY_HEADER_BYTES,
@@ -389,6 +390,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     # Return a library in the units of the table; values are not checked.
     # Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
     # are listed.
+    library = with_band_dim(library)
     found = {name: library[name] for name in LIBRARY_VARIABLES if name in library.variables}
     # a count or a share may lack the attribute units; only spectra must have units
     plain_numbers = {
@@ -783,6 +785,7 @@ def restored(
             parsed = numbers(cell or "nan" for cell in texts)
             is_text = parsed is None or not any(texts)
             added[name] = (SIGNATURE, text_column(texts) if is_text else np.array(parsed))
+    warn_of_scale(data[CENTRE], f"{source}: the reflectance", "write it again as a fraction")
     return library.assign_coords(added)
 
 
@@ -1287,6 +1290,22 @@ def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[I
     text = f"{text}: their values, which differ by up to {difference:.3g}, are averaged"
     warn_user(f"{source}: {text}", "wavelength-duplicate")
     return starts, means, [text]
+
+
+#: Reflectance that the brightest band of a library exceeds, and that no median of a surface exceeds [1].
+PLAUSIBLE_RANGE = (5e-4, 2.0)
+
+
+def warn_of_scale(spectra: Any, subject: str, mend: str = "divide per cent by 100") -> None:
+    # Warn of spectra (signature, band) that no surface has as a fraction.
+    spectra = np.nan_to_num(np.asarray(spectra))
+    level = np.median(spectra, axis=1).max(initial=0.0) if spectra.size else 0.0
+    brightest = spectra.max(initial=0.0)
+    warn_if(
+        level > PLAUSIBLE_RANGE[1] or 0.0 < brightest < PLAUSIBLE_RANGE[0],
+        f"{subject} is up to {brightest:.3g}, the highest median {level:.3g}: no surface has this; {mend}",
+        "scale-doubtful",
+    )
 
 
 def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> None:
@@ -2029,6 +2048,11 @@ def read_parquet_library(path: Path) -> xr.Dataset:
         is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
     names = list(map(str, columns["name"]))
     is_restored = is_ours and metadata_path(path).exists()
+    warn_if(
+        is_ours and not is_restored,
+        f"{source}: {metadata_path(path).name} is missing: names and wavelengths are from the file",
+        "metadata-missing",
+    )
     # keys of the rows of a library of hyperpaint
     keys: list[Key] = []
     for at, text in enumerate(columns["additional_properties"] if is_restored else []):

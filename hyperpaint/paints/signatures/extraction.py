@@ -49,6 +49,7 @@ from hyperpaint.base import (
     warn_user,
 )
 from hyperpaint.geometry.georeference.viewing import mean_view
+from hyperpaint.io.library.spectra_files import warn_of_scale
 from hyperpaint.light.clear_sky import radiance_towards_sun, sunward_gain
 from hyperpaint.light.coat_transmission import COAT_INDEX, interface_reflectance
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
@@ -574,8 +575,6 @@ EXCLUDED = (
     | Quality.MIXED_EDGE
 )
 
-#: Reflectance that the brightest band of a library exceeds, and that no median of a surface exceeds [1].
-PLAUSIBLE_RANGE = (5e-4, 2.0)
 #: Flags of lines whose light may differ from the record: excluded where a region has other pixels.
 UNSTEADY = Quality.ILLUMINATION_UNSTABLE | Quality.TIMING_SENSITIVE
 
@@ -870,13 +869,10 @@ def extract_signatures(
     library = paint_library(
         remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, notes
     )
-    spectra = np.nan_to_num(library["reflectance"].values[:, library["good"].values.astype(bool)])
-    level, brightest = np.median(spectra, axis=1).max(initial=0.0), spectra.max(initial=0.0)
-    warn_if(
-        level > PLAUSIBLE_RANGE[1] or 0.0 < brightest < PLAUSIBLE_RANGE[0],
-        f"the reflectance of the signatures is up to {brightest:.3g}, their highest median {level:.3g}: no "
-        "surface has this; check the scale of the line, such as 'reflectance scale factor' of an ENVI header",
-        "scale-doubtful",
+    warn_of_scale(
+        library["reflectance"].values[:, library["good"].values.astype(bool)],
+        "the reflectance of the signatures",
+        "check the scale of the line, such as 'reflectance scale factor' of an ENVI header",
     )
     if sun_zenith is not None:  # takes precedence over the clock
         library = library.assign(

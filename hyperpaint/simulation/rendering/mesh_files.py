@@ -143,8 +143,8 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             fans = outline[(first + steps) % len(outline)]  # (corner, triangle, 3)
             shares = _overlaps(vertices, fans.reshape(-1, 3), np.repeat(first, len(steps)))
             faces[rows] = fans[shares.argmin()]
-            _require(
-                shares.min() <= _MAX_OVERLAP or len(outline) == 4,  # four corners that cross or fold stay
+            FormatError.raise_if(
+                shares.min() > _MAX_OVERLAP and len(outline) > 4,  # four corners that cross or fold stay
                 f"{where}: face {concave + 1} is not convex, and triangles from any of its {len(outline)} "
                 "corners overlap",
                 mend="export the mesh with triangles as faces",
