@@ -37,11 +37,12 @@ from hyperpaint.base import (
     warn_if,
 )
 from hyperpaint.base.many_outputs import split_outputs
+from hyperpaint.io.library.spectra_files import warn_of_scale
 from hyperpaint.paints.paint_libraries import MIN_BANDS, interpolated, starter_library
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.line_sources import lines_of
 from hyperpaint.radiometry import to_nominal
-from hyperpaint.regions import pixels_of
+from hyperpaint.regions import pixels_of, region_mask
 from hyperpaint.regions.polygons import regions_from
 from hyperpaint.surroundings.corrections import has_split, relative_sky, split_of
 
@@ -421,9 +422,10 @@ def detect(
         with names in ``library`` are excluded. The rate holds for paints like these: pass the paints of your
         cars. With fewer than ``1 / unknown_rate`` spectra the limits are stricter than necessary.
     background
-        Pixels that certainly show no paint of the library, (along_track, cross_track) bool: only these
-        determine covariance and thresholds. By default all pixels that no paint explains determine the
-        thresholds. The rate holds for pixels like these: include objects that look like the paints.
+        Pixels that certainly show no paint of the library, (along_track, cross_track) bool, or regions as of
+        `hyperpaint.read_regions`: only these determine covariance and thresholds. By default all pixels that
+        no paint explains determine the thresholds. The rate holds for pixels like these: include objects that
+        look like the paints.
     exclude
         Flags of pixels that are excluded from the background, and not detected; by default the flags that
         signatures exclude.
@@ -608,6 +610,7 @@ def _spectra(
     # Paints (signature, band), indices of the compared bands, and spectra of other paints (spectrum, band)
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
+    warn_of_scale(paints, "the reflectance of the library at the bands of the line")
     good = np.isfinite(nm)
     if "good" in line.variables:
         good &= line["good"].values.astype(bool)
@@ -642,6 +645,7 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
         "wavelength",
         *(["member_reflectance"] if "member_reflectance" in library else []),
     ]
+    library = schema.with_band_dim(library)
     variables = schema.require(library, names if members else names[:2], "a detection", LIBRARY_VARIABLES)
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     spectra = [np.asarray(variables["reflectance"].values, np.float64)]
@@ -655,6 +659,8 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
 
 def _background_mask(background: Any, unflagged: Any, line: xr.Dataset) -> Any:
     # The argument `background` as a mask with the chunks of `unflagged`
+    if not hasattr(background, "dtype") and not isinstance(background, list | tuple):
+        background = region_mask(background, line) >= 0
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
         SchemaError.raise_if(

@@ -331,6 +331,20 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
         hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
 
 
+def test_background_may_be_regions_and_per_cent_is_told(red: xr.Dataset) -> None:
+    line = make_line(red)
+    road = Regions((Region("road", [(0, 30), (60, 30), (60, 60), (0, 60)]),))
+    options = {"false_alarm_rate": 1e-2, "sky": (NM / 550.0) ** -3}
+    found = [
+        line.paint.detect(red, background=background, **options)
+        for background in (road, hp.regions.region_mask(road, line) >= 0)
+    ]
+    xr.testing.assert_equal(*found)
+    library = red.assign(reflectance=(100.0 * red.reflectance).assign_attrs(units="1"))
+    with pytest.warns(hp.errors.PaintWarning, match="scale-doubtful"):
+        line.paint.detect(library.swap_dims(band="wavelength"), **options)
+
+
 def test_p_values_know_that_the_paint_was_chosen() -> None:
     p_values = []
     for seed in range(60):
