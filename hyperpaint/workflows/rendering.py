@@ -1253,7 +1253,8 @@ def run(
     for name in outcome.written:
         picture = open_group(out, name).get("overview")
         if picture is not None and not picture.values.any():
-            scene, camera = parts.scene.bounds.tolist(), parts.platform.position.mean(axis=0).tolist()
+            scene = parts.scene.bounds.tolist()
+            camera = (np.round(parts.platform.position.mean(axis=0), 1) + 0.0).tolist()
             spans = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(*scene, strict=True))
             warn_user(
                 f"{name} is black: no pixel sees a surface in light; the camera is about "
