@@ -1214,19 +1214,15 @@ def _warn_of_nothing_seen(swath: Swath, crs: str | None) -> None:
     lines = lines[np.unique(np.linspace(0, lines.size - 1, _SAMPLED_LINES).astype(int))]
     sample = replace(swath, poses=swath.poses[:, lines], starts=np.array([0, lines.size]))
     latitude, longitude, altitude = np.median(sample.poses[:3], axis=1).tolist()
-    if np.isnan(places_of(sample, (0, 0, 0))[0]).all():
-        camera, ground = f"{altitude:.4g} m above the ellipsoid", f"the ground at {swath.ground} m"
-        if not isinstance(swath.ground, float):
-            terrain, grid = swath.ground, swath.ground.grid
-            cells = np.array([[0, 0], np.subtract(terrain.heights.shape[::-1], 1)])
-            (x0, y0), (x1, y1) = np.sort([grid.x[0], grid.y[0]] + cells * [grid.x[1], grid.y[1]], axis=0)
-            place = between_maps(np.array([[longitude, latitude]]), _LONGITUDE_LATITUDE, grid.crs)[0]
-            camera = f"({place[0]:.7g}, {place[1]:.7g}), {camera}"
-            ground = (
-                f"the DEM spans ({x0:.7g}, {y0:.7g}) to ({x1:.7g}, {y1:.7g}), up to {terrain.highest:.4g} m"
-            )
-        found = f"no pixel of {lines.size} lines meets the ground: the camera is at {camera}, {ground}"
-        warn_user(found, "ground-not-seen")
+    ground = swath.ground
+    height = f"at {ground:.4g}" if isinstance(ground, float) else f"of the DEM at up to {ground.highest:.4g}"
+    warn_if(
+        np.isnan(places_of(sample, (0, 0, 0))[0]).all(),
+        f"no pixel of {lines.size} lines meets the ground {height} m: the camera is at "
+        f"latitude {latitude:.6f}, longitude {longitude:.6f}, {altitude:.4g} m above the ellipsoid; "
+        "look at the poses and at the extent of the DEM",
+        "ground-not-seen",
+    )
     if crs is not None:
         factors = _pyproj().Proj(_crs(crs)).get_factors(longitude, latitude)
         scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda scale: abs(scale - 1.0))
