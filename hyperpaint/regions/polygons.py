@@ -61,6 +61,7 @@ from hyperpaint.base import (
     read_limited,
     refuse_constant,
     schema,
+    warn_if,
 )
 from hyperpaint.geometry.georeference.locating import POSE, between_maps, crs_of, locate
 from hyperpaint.io.files.publishing import publish_file
@@ -479,6 +480,8 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         foreign = foreign_format(file, is_binary=True)
+        if not foreign and re.match(rb'\s*\x1e?\{[^\n]*"Feature"[^\n]*\}\s*\n', raw):
+            reason = "GeoJSONSeq, a feature a line"
         raise FormatError(
             f"{file}: {foreign.found if foreign else f'not GeoJSON ({reason:.200})'}",
             expected="a FeatureCollection of polygons in UTF-8",
@@ -536,14 +539,21 @@ def write_regions(
 _NAME_POLYGONS = 'name every polygon: hyperpaint.Region("hood", polygon.exterior.coords)'
 
 
+_TRACE_MASK = (
+    "trace the outlines of a mask: rasterio.features.shapes(mask.astype('uint8'), mask, "
+    "transform=rasterio.Affine.translation(-0.5, -0.5)), since whole numbers are centres of pixels"
+)
+
+
 def regions_from(source: Any) -> Regions:
     """Return regions from any of their forms.
 
     Parameters
     ----------
     source
-        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or an object with
-        ``__geo_interface__``, as of geopandas, whose attribute ``crs`` is read. Regions are named by the
+        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, an object with
+        ``__geo_interface__``, as of geopandas, whose attribute ``crs`` is read; polygons of shapely, or
+        polygons by name: a mapping, or pairs (name, polygon). Regions are named by the
         property ``name``, else by ``label``, ``paint``, ``signature`` or ``title``, in any case.
 
     Returns
@@ -570,20 +580,39 @@ def regions_from(source: Any) -> Regions:
         return read_regions(source)
     if isinstance(source, Region):
         return Regions((source,))
-    if isinstance(source, Mapping) or hasattr(source, "__geo_interface__"):
+    members: Any = source
+    if isinstance(source, Mapping) and "type" not in source:  # {name: polygon}
+        members = tuple(source.items())
+    elif getattr(source, "geom_type", None) in ("Polygon", "MultiPolygon"):  # of shapely
+        members = tuple(getattr(source, "geoms", (source,)))
+    elif isinstance(source, Mapping) or hasattr(source, "__geo_interface__"):
         document = source if isinstance(source, Mapping) else source.__geo_interface__
         crs = None if isinstance(source, Mapping) else getattr(source, "crs", None)
         return _collection(document, "these regions", crs)
-    if isinstance(source, Iterable):
-        members = tuple(source)
-        if all(isinstance(member, Region) for member in members):
-            return Regions(members)
+    is_image = len(getattr(source, "shape", ())) == 2 and not hasattr(source, "columns")
+    if isinstance(members, Iterable) and not is_image:
+        members = tuple(members)
+        named = [_named(member, number) for number, member in enumerate(members, 1)]
+        if None not in named:
+            return Regions(tuple(region for region in named if region))
     raise SchemaError(
         f"regions are {type(source).__name__}",
         expected="hyperpaint.Regions, the path of a GeoJSON file, or its content",
-        mend=_NAME_POLYGONS,
+        mend=_TRACE_MASK if is_image else _NAME_POLYGONS,
         code="type-wrong",
     )
+
+
+def _named(member: Any, number: int) -> Region | None:
+    # A region of a list: as it is; (name, polygon); or a polygon of shapely, named by its number
+    if isinstance(member, Region):
+        return member
+    is_pair = isinstance(member, tuple) and len(member) == 2 and isinstance(member[0], str)
+    name, polygon = member if is_pair else (f"region {number}", member)
+    if hasattr(polygon, "__geo_interface__"):
+        geometry = polygon.__geo_interface__
+        return _region({"type": "Feature", "properties": {"name": name}, "geometry": geometry})
+    return Region(name, polygon) if is_pair else None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -643,7 +672,12 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)
     problems.raise_if_any()
     regions, invalid_features = [], 0
-    for number, feature in enumerate(features or ()):
+    features = list(features or ())
+    # QGIS writes rows without a drawing
+    empty = [isinstance(feature, Mapping) and feature.get("geometry", 0) is None for feature in features]
+    for number, feature in enumerate(features):
+        if empty[number] and not all(empty):
+            continue
         try:
             regions.append(_region(feature))
         except PaintError as error:
@@ -656,6 +690,11 @@ def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
         code="features-invalid",
     )
     problems.raise_if_any()
+    warn_if(
+        any(empty),
+        f"{subject}: {sum(empty)} features have no geometry and are left out",
+        "geometry-missing",
+    )
     try:
         return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
@@ -686,6 +725,9 @@ def _region(feature: Any) -> Region:
         code="region-name-missing",
     )
     name, flightline = properties.pop(key), properties.pop("flightline", None)
+    if is_number(name) and float(name).is_integer():  # a column of numbers
+        name = str(int(name))
+    name = name.strip() if isinstance(name, str) else name
     properties.pop("name", None)  # without a value
     geometry = feature.get("geometry")
     members = geometry if isinstance(geometry, Mapping) else {}
@@ -938,6 +980,13 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
             code="dim-missing",
         )
     problems.raise_if_any()
+    crossing = [region.name for region in regions if _crosses_itself(region.polygon)]
+    warn_if(
+        crossing,
+        f"the outlines of {', '.join(map(repr, crossing[:5]))} cross themselves and hold less than their "
+        "corners enclose; draw the corners in order",
+        "polygon-crossing",
+    )
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
     if regions.coordinates == "map":
         line = located_for(regions, line)
@@ -989,6 +1038,17 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
         )
     problems.raise_if_any()
     return found
+
+
+def _crosses_itself(ring: Floats) -> bool:
+    # Whether edges of a ring cross within both; long outlines, which programs trace, are not searched
+    if not 3 < len(ring) <= 1000:
+        return False
+    start, edge = ring, np.roll(ring, -1, axis=0) - ring
+    x, y = (start[None, :, axis] - start[:, None, axis] for axis in (0, 1))  # [k, m]: from start k to start m
+    side = edge[:, None, 0] * y - edge[:, None, 1] * x  # on which side of edge k is start m
+    is_split = side * np.roll(side, -1, axis=1) < 0.0
+    return bool((is_split & is_split.T).any())
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:

@@ -14,7 +14,7 @@ import xarray as xr
 from hypothesis import given, strategies as st
 from support.refusals import expect_refusals
 
-from hyperpaint.base.errors import FormatError, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.regions import (
     Region,
     Regions,
@@ -166,6 +166,7 @@ def test_pixels_are_columns_and_lines() -> None:
         pixels(Region("a", SQUARE), xr.Dataset({"time": ("along_track", [1.0])}))
 
 
+@pytest.mark.filterwarnings("ignore:.*polygon-crossing")
 def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     region = Region("a", np.random.default_rng(1).uniform(0, 40, (9, 2)))
     whole = pixels(region, line(50, 45))
@@ -258,6 +259,38 @@ def test_everything_wrong_with_a_region_is_told() -> None:
             Region("a", SQUARE, properties=properties)  # type: ignore[arg-type]
 
 
+def test_polygons_of_other_forms_are_regions() -> None:
+    shapely = pytest.importorskip("shapely")
+    shape, boxes = shapely.Polygon(SQUARE), [shapely.box(0, 0, 1, 1), shapely.box(3, 3, 4, 4)]
+    for source, names in (
+        (shape, ("region 1",)),
+        (shapely.MultiPolygon(boxes), ("region 1", "region 2")),
+        ([shape], ("region 1",)),
+        ({"hood": SQUARE}, ("hood",)),
+        ([("hood", shape), Region("roof", SQUARE)], ("hood", "roof")),
+    ):
+        assert regions_from(source).names == names
+    for mask in (np.ones((4, 5), bool), xr.DataArray(np.ones((4, 5), int)), [np.array(SQUARE)]):
+        with pytest.raises(SchemaError, match="type-wrong"):
+            regions_from(mask)
+
+
+def test_names_of_tables_and_rows_without_a_drawing() -> None:
+    document = collection(properties={"name": 5})
+    document["features"] += [{**document["features"][0], "properties": {"name": "red "}}]
+    document["features"] += [{**document["features"][0], "geometry": None}]
+    with pytest.warns(PaintWarning, match="geometry-missing"):
+        assert regions_from(document).names == ("5", "red")
+
+
+def test_an_outline_that_crosses_itself_is_told() -> None:
+    line = xr.Dataset(coords={"along_track": np.arange(9), "cross_track": np.arange(9)})
+    with pytest.warns(PaintWarning, match="'bow'.*polygon-crossing"):
+        pixels(Region("bow", [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]), line)
+    spike = [(0, 0), (4, 0), (8, 0), (4, 0), (4, 4), (0, 4)]  # edges on one another do not cross
+    assert pixels(Region("spike", spike), line)[0].size == 29
+
+
 def test_regions_are_a_sequence() -> None:
     three = Regions(tuple(Region(name, SQUARE, flightline=name) for name in "abc"), "map", "EPSG:32618")
     assert (len(three), three[1].name, three[1:].names) == (3, "b", ("b", "c"))
@@ -297,6 +330,7 @@ def test_regions_are_a_sequence() -> None:
     ElementTree.fromstring(shown)
 
 
+@pytest.mark.filterwarnings("ignore:.*polygon-crossing")
 def test_pixels_of_many_regions_are_those_of_each() -> None:
     rng = np.random.default_rng(2)
     many = Regions(tuple(Region(f"r{k}", rng.uniform(0, 12, (5, 2))) for k in range(6)))
@@ -453,7 +487,7 @@ HOSTILE: dict[str, Any] = {
     "no feature": {"type": "FeatureCollection", "features": [1, None, "x", []]},
     "no name": collection(properties={}),
     "no properties": collection(properties=None),
-    "a number for a name": collection(properties={"name": 7}),
+    "a number for a name": collection(properties={"name": 7.5}),
     "a list for a name": collection(properties={"name": ["a"]}),
     "a path for a name": collection(properties={"name": "a\x00b"}),
     "a long name": collection(properties={"name": "a" * 201}),
@@ -574,7 +608,7 @@ def test_a_crs_that_contradicts_the_geojson_is_refused(frame: Frame, code: str) 
 
 def test_every_bad_feature_is_told_of() -> None:
     good = collection()["features"][0]
-    bad = collection(geometry=None)["features"][0]
+    bad = collection(geometry={"type": "Point", "coordinates": [1, 2]})["features"][0]
     with pytest.raises(FormatError) as caught:
         regions_from({"type": "FeatureCollection", "features": [bad, good, {}, bad]})
     assert [f"feature {k}" in str(caught.value) for k in range(4)] == [True, False, True, True]
