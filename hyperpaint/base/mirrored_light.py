@@ -73,6 +73,8 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
 #: Values of ``finish``, ``material`` or ``kind`` of paints with flakes: their signature holds for one
 #: geometry of sun and view and includes the coat.
 FLAKE_PAINTS = frozenset({"metallic", "pearl"})
+#: Values of ``finish``. Matt paint has no clear coat that mirrors: its surface scatters the sky.
+FINISHES = ("solid", "metallic", "pearl", "matt", "unknown")
 
 #: Maximum range of angles between view and mirrored sun that a change of brightness infers [degree].
 MAX_ASPECULAR_RANGE_DEG = 30.0

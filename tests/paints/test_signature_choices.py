@@ -381,6 +381,23 @@ def test_the_light_of_flakes_is_no_glint() -> None:
     assert int(given.n_excluded[0]) > 10
 
 
+def test_matt_paint_mirrors_no_sky() -> None:
+    line = raw()
+    sky: dict[str, Any] = {"specular_sky": True, "diffuse": "model", "sun_zenith": 40.0}
+    seen, matt, solid = (
+        extract_signatures(line, drawn(finish=finish), **options).reflectance.values
+        for finish, options in (("solid", {}), ("matt", sky), ("solid", sky))
+    )
+    np.testing.assert_array_equal(matt, seen)
+    assert np.nanmax(np.abs(solid - seen)) > 0.0
+
+
+@pytest.mark.parametrize("finish", ["metallic flake", 3])
+def test_a_finish_that_is_not_known_is_told(finish: object) -> None:
+    with pytest.warns(PaintWarning, match="finish-unknown"):
+        extract_signatures(raw(), drawn(finish=finish))
+
+
 def test_a_drawn_region_has_the_lean_of_its_part() -> None:
     line = raw()
     stated = {

@@ -24,6 +24,7 @@ from hyperpaint.base import (
     BAND,
     BODY,
     EXCLUDED,
+    FINISHES,
     INCLUDED,
     LIBRARY_VARIABLES,
     OUTSIDE,
@@ -45,6 +46,7 @@ from hyperpaint.base import (
     is_number,
     listed,
     one_of,
+    origin_of,
     takes_quantities,
     warn_user,
     with_band_dim,
@@ -564,7 +566,7 @@ def _head(path: Path) -> str:
 def _opened(path: Path, options: _Options) -> xr.Dataset:
     FormatError.raise_if(
         not path.is_file(),
-        f"{path}: {'not a regular file' if os.path.lexists(path) else 'no such file'}",
+        f"{origin_of(path)}: {'not a regular file' if os.path.lexists(path) else 'no such file'}",
         expected="a spectral library",
         code="file-not-found",
     )
@@ -894,7 +896,7 @@ TERMS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ),
     ("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
     ("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
-    ("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
+    ("finish", FINISHES, "What the paint is like"),
     ("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
     ("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
 )

@@ -20,6 +20,7 @@ from hyperpaint.base import (
     BODY,
     CROSS_TRACK,
     EXCLUDED as MIRROR_EXCLUDED,
+    FINISHES,
     FLAKE_PAINTS,
     INCLUDED,
     LIBRARY_VARIABLES,
@@ -129,8 +130,8 @@ def without_coat(
 ) -> xr.Dataset:
     # Return a library corrected for a coat of the given index; see `correct_coat`.
     #
-    # Regions of other surfaces than paint, and metallic paint, stay unchanged.
-    has_coat = np.array([not words_of(region) & (_NO_PAINT | FLAKE_PAINTS) for region in regions])
+    # Regions of other surfaces than paint, and metallic and matt paint, stay unchanged.
+    has_coat = np.array([not words_of(region) & (_NO_PAINT | FLAKE_PAINTS | {"matt"}) for region in regions])
     if not has_coat.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
@@ -711,7 +712,8 @@ def extract_signatures(
 
     The signature of a metallic or pearl paint (by ``finish`` or ``kind`` of its region) holds only for its
     ``aspecular_angle`` under its sun and sky; it is not corrected for the coat, and ``flop`` shows the change
-    with the angle.
+    with the angle. Matt paint has no coat that mirrors: it is corrected for none, and keeps the light of the
+    sky that its surface scatters.
 
     In a map with the indices of the pixels that its cells show, every pixel counts once, and members have
     their positions in the flight line; a map of nearest pixels omits some pixels of the flight line.
@@ -813,6 +815,17 @@ def extract_signatures(
                 )
         problems.raise_if_any()
     drafts = [Draft(sources[names[position]], region_pixels) for position, region_pixels in enumerate(pixels)]
+    unknown = [
+        f"{region.name!r} ({finish!s:.40})"
+        for region in region_list
+        if (finish := region.properties.get("finish") or "") and not words_of(region) & {*FINISHES}
+    ]
+    warn_if(
+        unknown,
+        f"the finish of {', '.join(unknown[:5])} is none of {', '.join(FINISHES)}: taken for paint "
+        "with a clear coat and without flakes",
+        "finish-unknown",
+    )
     excluded = [excluded_of(region, flags) if exclude is None else exclude for region in region_list]
     for number, (name, batch, bands) in enumerate(rounds):
         # gather and reduce the pixels of a round; reading is the first half of the work, reducing the second
@@ -891,7 +904,17 @@ def extract_signatures(
     library = with_coat_strength(library.assign_coords(lean=lean), sun_zenith)
     if specular_sky:
         strength = float(interface_reflectance(0.0, coat_index))
+        measured = library
         library = remove_mirrored_sky(library, strength=strength, diffuse=diffuse, sun_zenith=sun_zenith)
+        is_matt = xr.DataArray(["matt" in words_of(region) for region in remaining], dims=SIGNATURE)
+        if is_matt.any():  # its surface scatters the sky, and mirrors none of it
+            levels = {name: library[name] for name in LEVELS if name in library}
+            library = library.assign(
+                {
+                    name: level.where(~is_matt, measured[name]).transpose(*level.dims)
+                    for name, level in levels.items()
+                }
+            )
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
     library = with_aspecular_geometry(with_levels(library, remaining))
@@ -928,6 +951,10 @@ _DEGREES_WITHOUT_CRS = (
     'Regions(..., coordinates="map", crs="OGC:CRS84"), or write "crs": "OGC:CRS84" beside "features" in '
     "the file"
 )
+_NEGATIVE_LINES = (
+    "all y are negative, as of a picture without a map in QGIS: change the sign of y, and subtract 0.5 from "
+    "x and y, since whole numbers are centres of pixels; longitude and latitude need a crs"
+)
 _METRES_WITHOUT_CRS = (
     "without a crs the coordinates are columns and lines; these look like metres of a map: pass "
     'Regions(..., coordinates="map", crs=...) with the crs of the map, such as "EPSG:32633"'
@@ -952,6 +979,9 @@ def _pixels_of_regions(
         # no camera has so many columns
         could_be_metres = is_sensor and bool((corners > 10_000.0).all())
         metres_mend = _METRES_WITHOUT_CRS if could_be_metres else ""
+        lowest = max(region.polygon[:, 1].max() for region in line_regions)
+        if is_sensor and lowest <= 0.0:
+            metres_mend, could_be_degrees = _NEGATIVE_LINES, False
         for position, region_pixels in zip(
             positions, distinct_pixels(line, pixels_of(line_regions, line)), strict=True
         ):

@@ -204,7 +204,8 @@ _OF_FLAKES = Quality.GLINT | Quality.ADJACENCY | Quality.MIXED_EDGE
 
 def words_of(region: Region) -> set[str]:
     # Return the words that name the surface of a region.
-    return {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
+    words = {str(region.properties.get(name, "")).strip().lower() for name in ("kind", "material", "finish")}
+    return words | {"matt"} if "matte" in words else words
 
 
 def excluded_of(region: Region, default: int) -> int:
