@@ -55,7 +55,8 @@ def input_path(
     >>> input_path("dask::https://example.org/sky.csv", "an irradiance series")
     Traceback (most recent call last):
     hyperpaint.base.errors.FormatError: dask::https://example.org/sky.csv: a chained URL, expected a path or \
-a plain URL [url-not-plain]
+a plain URL; give the URL after '::' (texts are copied once, cubes read by ranges); unpack zip files first \
+[url-not-plain]
     """
     text = os.fsdecode(path)
     shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
@@ -143,7 +144,10 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
         code="file-too-large",
     )
     raise FormatError(
-        f"{file_path}: {_kind(status.st_mode)}", expected=expected, mend=_CHECK_PATH, code="file-special"
+        f"{origin_of(file_path)}: {_kind(status.st_mode)}",
+        expected=expected,
+        mend=_CHECK_PATH,
+        code="file-special",
     )
 
 

@@ -32,6 +32,7 @@ _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
 _FILE = re.compile(r"(?:file|local):/+")
 #: ``dask::...``, which may start a cluster, or copy and unpack files.
 _CHAINED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/.*::)", re.DOTALL)
+CHAINED_MEND = "give the URL after '::' (texts are copied once, cubes read by ranges); unpack zip files first"
 #: Largest sum of files that are copied at once [byte].
 MAX_COPY_BYTES = 4 * 2**30
 MAX_LISTED = 100_000
@@ -112,6 +113,7 @@ def as_path(path: str | os.PathLike[str]) -> Path:
         url is None and _CHAINED.match(text) and not os.path.lexists(text),
         f"{text:.200}: a chained URL",
         expected="a path or a plain URL",
+        mend=CHAINED_MEND,
         code="url-not-plain",
     )
     return Path(re.sub(rf"^{_FILE.pattern}", "/", text)) if url is None else UrlPath(url)
@@ -206,7 +208,8 @@ def discover(path: str | os.PathLike[str]) -> None:
     # Make placeholders for a file of the temporary folder and what is beside it, or for what a folder holds.
     place = os.fspath(path)
     url = origin_of(place)
-    if url == place or url.count("/") < 3:
+    # the root of a server lists its buckets, but the memory has files there
+    if url == place or (url.count("/") < 3 and not url.startswith("memory://")):
         return
     with _LOCK:
         _list(os.path.dirname(place))
@@ -268,7 +271,7 @@ def _list(folder: str) -> None:
         if is_folder:
             os.makedirs(place, exist_ok=True)
         else:
-            _add_placeholder(place, f"{url.rstrip('/')}/{name}", row)
+            _add_placeholder(place, origin_of(place), row)
 
 
 def _content_state(state: Mapping[str, Any]) -> str:

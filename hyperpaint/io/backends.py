@@ -3,6 +3,7 @@
 xarray loads this module at any user's first `open_dataset`: it imports nothing but xarray.
 """
 
+import contextlib
 import os
 import re
 from collections.abc import Iterable
@@ -34,7 +35,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         # Return whether this is an ENVI header, or a data file that has one beside it.
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
-        path = Path(os.fsdecode(filename_or_obj))
+        path = local_path(filename_or_obj)
         if path.suffix.lower() == ".hdr":
             return _is_envi_header(path)
         if not os.path.isfile(path):
@@ -81,7 +82,7 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
-        path = Path(os.fsdecode(filename_or_obj))
+        path = local_path(filename_or_obj)
         return path.suffix.lower() == self.suffix and bool(re.match(self.beginning, first_bytes(path, 120)))
 
     def open_dataset(
@@ -117,6 +118,17 @@ class SvcBackendEntrypoint(_SpectrometerEntrypoint):
 def _without(dataset: "xr.Dataset", drop_variables: str | Iterable[str] | None) -> "xr.Dataset":
     dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
     return dataset.drop_vars(dropped, errors="ignore")
+
+
+def local_path(path: str | os.PathLike[str]) -> Path:
+    # The path of a file, also behind a URL of our suffixes: other URLs are left to other engines
+    text = os.fsdecode(path)
+    if "://" in text and "::" not in text and text.lower().endswith((".hdr", ".asd", ".sig", ".toml")):
+        from hyperpaint.base.input_files import input_path
+
+        with contextlib.suppress(Exception):  # servers that do not answer: another engine tells
+            return input_path(text)
+    return Path(text)
 
 
 def _is_envi_header(path: Path) -> bool:

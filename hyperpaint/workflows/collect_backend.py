@@ -4,12 +4,11 @@ xarray loads this module at a user's first `open_dataset`: it imports nothing bu
 """
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from xarray.backends import BackendEntrypoint
 
-from hyperpaint.io.backends import first_bytes
+from hyperpaint.io.backends import first_bytes, local_path
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +31,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         # Return whether this is a TOML file with a table of flight lines.
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
-        path = Path(os.fsdecode(filename_or_obj))
+        path = local_path(filename_or_obj)
         is_toml = path.suffix.lower() == ".toml"
         return is_toml and b"[flightlines" in first_bytes(path, 2**16).replace(b" ", b"")
 

@@ -30,6 +30,7 @@ from shlex import join, split
 from typing import Any, NamedTuple
 
 from hyperpaint.base import (
+    CHAINED_MEND,
     FORMAT_VERSION,
     NUMERICS_VERSION,
     FormatError,
@@ -125,7 +126,7 @@ class Location:
             raise StoreError(
                 f"{text!r:.200}: {kind}",
                 expected="a folder or a plain URL",
-                mend="check the path",
+                mend=CHAINED_MEND if "::" in text else "check the path",
                 code="path-not-plain",
             )
         with StoreError.instead_of(
@@ -229,7 +230,17 @@ class Location:
         # Write a JSON object; on a local disk atomically and flushed.
         content = json.dumps(document).encode()
         if self.local is None:
-            self.fs.pipe_file(self.key(*parts), content)
+            # every server has its own errors
+            try:
+                self.fs.pipe_file(self.key(*parts), content)
+            except OSError:
+                raise
+            except Exception as error:
+                raise StoreError(
+                    f"{self.url} cannot be written: {type(error).__name__}: {error!s:.200}",
+                    mend="check that the server takes files, and the credentials",
+                    code="file-unwritable",
+                ) from error
             return
         path = self.local.joinpath(*(part for part in parts if part))
         for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:

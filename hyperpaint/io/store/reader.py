@@ -34,6 +34,7 @@ from hyperpaint.base import (
     IncompleteStoreError,
     Problems,
     StoreError,
+    as_path,
     documented,
     mirrored,
     stamp_means,
@@ -426,6 +427,8 @@ def is_zarr(path: Any) -> bool:
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
     text = os.fsdecode(path)
+    if text.startswith(("file:", "local:")) and "::" not in text:
+        text = os.fspath(as_path(text))
     if (url := url_of(text)) is not None and not text.rstrip("/").endswith((".zarr", ".zip")):
         text = os.fspath(mirrored(url))
         if not os.path.lexists(text):

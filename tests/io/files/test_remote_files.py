@@ -245,6 +245,29 @@ def test_urls_that_nothing_can_read(day: str) -> None:
     )
 
 
+def test_files_at_the_root_of_the_memory_are_found() -> None:
+    name = f"memory://{uuid.uuid4().hex}.geojson"
+    hp.write_regions([hp.Region("hood", [(0, 0), (4, 0), (4, 3)])], name)
+    assert hp.read_regions(name).names == ("hood",)
+
+
+def test_xarray_opens_files_behind_urls(day: str) -> None:
+    assert "counts" in xr.open_dataset(f"{day}/flight/flight/raw_0.hdr")
+    assert "flightlines" in xr.open_datatree(f"{day}/flight/collect.toml")
+
+
+def test_a_library_at_a_file_url_is_opened(tmp_path: Path) -> None:
+    path = hp.write_library(hp.paints.starter_library(members=0), tmp_path / "paints.csv")
+    xr.testing.assert_identical(hp.open_library(path.as_uri()), hp.open_library(path))
+
+
+def test_a_store_at_a_server_that_takes_no_files_is_refused(day: str, tmp_path: Path) -> None:
+    with web_server(tmp_path) as url:
+        expect_error(
+            StoreError, "file-unwritable", lambda: hp.to_store(xr.Dataset({"a": 1.0}), f"{url}/a.zarr")
+        )
+
+
 def test_products_behind_a_url(day: str, local: Path) -> None:
     page, memory = f"{day}/report.html", fsspec.filesystem("memory")
     hp.report.write_report(local, page)
