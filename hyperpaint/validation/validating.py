@@ -265,23 +265,26 @@ class Validation:
         failures = []
         paints, references, instruments = map(self._texts, ("signature", "reference", "instrument"))
         for row, within in enumerate(self.statistics["passes"].values):
-            # names of parts, with the reason where one cannot be judged
-            texts = []
-            for column in np.flatnonzero(~within).tolist():
-                cell = self.statistics.isel(pair=row, part=column)
-                count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
-                level, limit = float(cell["level"]), float(cell["rmse_limit"])
-                reason = cell["exclusion"].item() or (
-                    f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
-                    if limit > MAX_TOLERANCE_SHARE * level
-                    else f"{count} of {count + excluded} bands, too few to judge"
-                )
-                part = str(cell["part"].item())
-                texts.append(part if cell["judged"] else f"{part} ({reason})")
+            texts = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
             if texts:
                 pair = f"{paints[row]} against {references[row]} of {instruments[row]}"
                 failures.append(f"{pair}: {', '.join(texts)}")
         return (*failures, *(f"{name}: its reference is missing" for name in self.missing))
+
+    def _failure(self, row: int, column: int) -> str:
+        # Name of a part, with the reason where it cannot be judged
+        cell = self.statistics.isel(pair=row, part=column)
+        count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
+        if cell["judged"]:
+            return str(cell["part"].item())
+        level, limit = float(cell["level"]), float(cell["rmse_limit"])
+        reason = cell["exclusion"].item() or (
+            f"level {level:.4f}, too dark for a tolerance of {limit:.4f}, above "
+            f"{MAX_TOLERANCE_SHARE:.0%} of it"
+            if limit > MAX_TOLERANCE_SHARE * level
+            else f"{count} of {count + excluded} bands, too few to judge"
+        )
+        return f"{cell['part'].item()} ({reason})"
 
     @property
     def verdict(self) -> str:
@@ -357,7 +360,12 @@ class Validation:
                     cells.append(_with_uncertainty(float(part[name]), u))
                     if name == "rmse":
                         cells.append(_plain(float(part["rmse_limit"]), 4))
-                verdict = "FAIL" if not part["passes"] else "pass" if part["judged"] else "not judged"
+                limits = {name: limit for name, limit in self.tolerance.items() if name in STATISTICS}
+                limits["rmse"] = float(part["rmse_limit"])
+                is_outside = any(abs(float(part[n]) - (n == "scale")) > limit for n, limit in limits.items())
+                verdict = "pass" if part["passes"] else "FAIL"
+                if not part["judged"] and not is_outside:
+                    verdict = "not judged"
                 names = paint, f"{reference} ({instrument})", str(part["part"].values)
                 rows.append((*names, f"{count}/{count + excluded}", *cells, oxygen, verdict))
                 oxygen = ""  # only in the first row of a pair
@@ -365,10 +373,15 @@ class Validation:
 
     def _remarks(self) -> list[str]:
         # notes of the pairs, each once with the pairs it is about, and unpaired names
+        def unjudged(row: int) -> list[str]:
+            failing = (~self.statistics["passes"] & ~self.statistics["judged"]).values[row]
+            failures = [self._failure(row, int(column)) for column in np.flatnonzero(failing)]
+            return [f"not judged: {', '.join(failures)}"] if failures else []
+
         rows_of_text = grouped(
             (text, row)
             for row, texts in enumerate(self.notes)
-            for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts)
+            for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts, *unjudged(row))
         )
         remarks = [f"{self._pair_names(rows)}: {text}" for text, rows in rows_of_text.items()]
         unpaired = {
