@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
@@ -105,6 +106,14 @@ _ZONE = re.compile(
 _YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
 
 
+#: Words before a wavelength, such as ``E_350``.
+_OF_IRRADIANCE = re.compile(r"^(?:E[ds]?|irradiance|wl)[ _]+(?=\d)", re.IGNORECASE)
+#: Headings of columns that are no irradiance.
+_HOUSEKEEPING = re.compile(r"temp|humid|volt|batt|tilt|pressure|record|status", re.IGNORECASE)
+#: Cells of a row of units.
+_UNIT_CELL = re.compile(r"[Ww].*\bm|mol.*\bm")
+
+
 class IrradianceTable(NamedTuple):
     # Content of one csv file.
     name: str  # file name without its folder
@@ -121,11 +130,13 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
     The file contains comments ``# units: W m-2 nm-1`` and ``# fwhm_nm: 3`` (both optional), a header of
     ``time`` (``timestamp``, ``date,time``, ``time (UTC)`` ...) and the wavelengths in nanometres (``350``,
-    ``350nm``), and one row for each sample: a stamp and the values, separated by commas, semicolons or tabs;
-    with semicolons and tabs also with decimal commas. A stamp is ISO 8601, seconds since 1970, or a date such
-    as ``06/13/2024 10:00:00 AM`` or ``13.06.2024 10:00:00``; dates with slashes need one in the file that is
-    valid in one order alone. Stamps without a zone have that of the heading (``time (UTC+2)``); those of
-    ``gps_time`` are GPS time. Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
+    ``350nm``, ``E_350``; rising or falling), and one row for each sample: a stamp and the values, separated
+    by commas, semicolons or tabs; with semicolons and tabs also with decimal commas. A stamp is ISO 8601,
+    seconds since 1970, or a date such as ``06/13/2024 10:00:00 AM`` or ``13.06.2024 10:00:00``; dates with
+    slashes need one in the file that is valid in one order alone. Stamps without a zone have that of the
+    heading (``time (UTC+2)``); those of ``gps_time`` are GPS time. A row of units may follow the header;
+    columns of temperature and the like are left out with a warning. Either all stamps have a zone
+    (``2024-05-21T12:00:00.5Z``), or none has.
 
     Returns IrradianceTable: Values (sample, wavelength), and units and spectral width from the comments.
     Raises FormatError: The file cannot be read, or its header or a row deviates from this.
@@ -176,11 +187,18 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
     rows = lines()
     separator, header = heading_cells(next(rows, (0, ""))[1])
+    while len(header) > 1 and not header[-1]:  # every line ends with separators
+        header.pop()
     # one column of times, or a date and a time
     time_columns = 1 + sum(TIME_HEADING.fullmatch(cell) is not None for cell in header[1:2])
-    headings = [NM_HEADING.fullmatch(cell) for cell in header[time_columns:]]
-    is_readable = bool(headings) and None not in headings
-    wavelength = np.array([float(h[1].replace(",", ".")) for h in headings if h and is_readable], np.float64)
+    headings = [NM_HEADING.fullmatch(_OF_IRRADIANCE.sub("", cell)) for cell in header]
+    # a logger may write its temperature beside the time: columns whose headings are words
+    columns = [at for at in range(time_columns, len(header)) if _HOUSEKEEPING.search(header[at]) is None]
+    unreadable = [at for at in columns if headings[at] is None]
+    nm = [float(h[1].replace(",", ".")) for at in columns if not unreadable and (h := headings[at])]
+    if len(nm) > 1 and all(after < before for before, after in pairwise(nm)):
+        columns, nm = columns[::-1], nm[::-1]
+    wavelength = np.array(nm, np.float64)
     refuse(
         name,
         (
@@ -194,13 +212,26 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
         (
             not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)),
             Problem(
-                f"the header is '{','.join(header)[:60]}'",
+                f"the header is '{','.join(header)[:60]}'"
+                + "".join(f"; {header[at]!r:.40} is no wavelength" for at in unreadable[:1]),
                 expected="'time' and increasing positive wavelengths [nm]",
                 code="header-unreadable",
             ),
         ),
     )
+    left_out = [header[at] for at in range(time_columns, len(header)) if at not in columns]
+    warn_if(left_out, f"{name}: columns {', '.join(left_out)} are left out", "column-unknown")
+    first_row = next(rows, None)
     heading = " ".join(header[:time_columns]).lower()
+    if first_row is not None:
+        units = [cell.strip().strip('"') for cell in first_row[1].split(separator)]
+        is_stamp = re.search(r"\d", "".join(units[:time_columns]))
+        if not is_stamp and len(units) == len(header) and all(_UNIT_CELL.search(units[at]) for at in columns):
+            # a row of units below the names
+            comments.setdefault("units", units[columns[0]])
+            heading = f"{heading} {' '.join(units[:time_columns]).lower()}"
+        else:
+            rows = chain([first_row], rows)
     zone: dt.timezone | None = None
     if found := _ZONE.search(heading):
         offset = dt.timedelta(hours=int(found[2] or 0), minutes=int(found[3] or 0))
@@ -219,11 +250,13 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             code="row-unreadable",
         ):
             time = _time_of_cell(" ".join(cells[:time_columns]), is_gps)
-            if len(cells) != len(wavelength) + time_columns:
+            while len(cells) > len(header) and not cells[-1]:
+                cells.pop()
+            if len(cells) != len(header):
                 raise ValueError(f"{len(cells) - time_columns} values")
             if separator != ",":
                 cells = [cell.replace(",", ".") for cell in cells]
-            values[index] = [float(cell) if cell else math.nan for cell in cells[time_columns:]]
+            values[index] = [float(cells[at]) if cells[at] else math.nan for at in columns]
         line_numbers.append(line_number)
         times.append(time)
     # times with the zone of the heading; dates with slashes have one order in the file

@@ -376,10 +376,33 @@ def test_csv_needs_zone_units_and_width(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("time,500,600,", "{},1,2,"),
+        ("time,600,500", "{},2,1"),
+        ("time,E_500,E_600", "{},1,2"),
+        ("time,500,600\nUTC,W m-2 nm-1,W m-2 nm-1", "{},1,2"),
+        ("time;500;600\nUTC;W/(m^2 nm);W/(m^2 nm)", "{};1,0;2"),
+    ],
+)
+def test_csv_of_other_loggers(tmp_path: Path, head: str, row: str) -> None:
+    (tmp_path / "sky.csv").write_text(f"{head}\n{row.format('2024-05-21T12:00:00Z')}\n")
+    table = read_irradiance_csv(tmp_path / "sky.csv")
+    assert (table.wavelength.tolist(), table.values.tolist()) == ([500.0, 600.0], [[1.0, 2.0]])
+    assert (table.units is not None) == ("UTC" in head)
+
+
+def test_a_temperature_beside_the_time_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "sky.csv").write_text("time,temp,500,600\n2024-05-21T12:00:00Z,25.3,1,2\n")
+    with pytest.warns(PaintWarning, match="temp.*column-unknown"):
+        assert read_irradiance_csv(tmp_path / "sky.csv").values.tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("", "no header"),
-        ("time,600,500\n", "header-unreadable"),
+        ("time,600,500,550\n", "header-unreadable"),
         ("time,nan\n", "header-unreadable"),
         ("time,a\n", "header is ..*header-unreadable"),
         ("time,500\n", "no rows"),
