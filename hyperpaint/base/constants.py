@@ -60,6 +60,14 @@ def lines_a_task(bytes_a_line: int, max_lines: int = 32) -> int:
     return min(max_lines, max(1, MAX_TASK_BYTES // max(bytes_a_line, 1)))
 
 
+def finite_mean(values: Floats, axis: int) -> Floats:
+    # Return the mean of finite values; NaN without finite values.
+    is_finite = np.isfinite(values)
+    count = is_finite.sum(axis=axis)
+    total = np.where(is_finite, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
 # --- range of daylight irradiance, and the unit mistakes that explain values outside it --------------------
 
 

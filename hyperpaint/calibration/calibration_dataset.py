@@ -79,7 +79,7 @@ from .detector import (
     on_elements,
     placed_lines,
     read_lines,
-    refused,
+    refuse_if,
     row_medians,
     second_order_factor,
     shape_variance,
@@ -305,15 +305,14 @@ def anchor_to_radiance(
         code="wavelength-missing",
     )
     axis = spectrum[names[0]]
-    if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
-        raise SchemaError(
-            f"wavelengths of the source have units {axis.attrs['units']!r}",
-            expected="nm",
-            code="units-not-convertible",
-        )
-    grid = (
-        (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
+    units = axis.attrs.get("units", "nm")
+    SchemaError.raise_if(
+        not same_dimension(str(units), "nm"),
+        f"wavelengths of the source have units {units!r}",
+        expected="nm",
+        code="units-not-convertible",
     )
+    grid = convert(axis.assign_attrs(units=units), "nm", "wavelength").to_numpy().astype(np.float64)
     values = spectrum.to_numpy().astype(np.float64)
     SchemaError.raise_if(
         grid.size < 2 or not (np.diff(grid) > 0).all(),
@@ -350,39 +349,40 @@ def anchor_to_radiance(
         at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
         level[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
     # linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure time [s]
-    problems = Problems("these frames cannot be used as an anchor", SchemaError)
-    for name in ("counts", "dark_counts", "exposure_time"):
+    with Problems("these frames cannot be used as an anchor", SchemaError) as problems:
+        for name in ("counts", "dark_counts", "exposure_time"):
+            problems.add_if(
+                name not in frames.variables,
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
+                code="variable-missing",
+            )
+        problems.raise_if_any()
+        exposures = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
         problems.add_if(
-            name not in frames.variables,
-            f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
-            code="variable-missing",
+            not exposures.size
+            or not (exposures > 0).all()
+            or np.ptp(exposures) > SAME_EXPOSURE * exposures[0],
+            f"'exposure_time' {listed(exposures.tolist(), 's')}",
+            expected="one positive number",
+            code="exposure-invalid",
         )
-    problems.raise_if_any()
-    exposures = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
-    problems.add_if(
-        not exposures.size or not (exposures > 0).all() or np.ptp(exposures) > SAME_EXPOSURE * exposures[0],
-        f"'exposure_time' {listed(exposures.tolist(), 's')}",
-        expected="one positive number",
-        code="exposure-invalid",
-    )
-    exposure = exposures[:1] if exposures.size == 1 else np.array([exposures.mean()])
-    counts, dark = frames["counts"], frames["dark_counts"]
-    for array in (counts, dark):
-        problems.add_if(
-            not set(ELEMENT) <= set(array.dims) <= {*ELEMENT, ALONG_TRACK},
-            f"{array.name!r} has dims {tuple(map(str, array.dims))}",
-            expected="([along_track,] band, cross_track)",
-            code="dims-wrong",
-        )
-        expected = {dim: calibration.sizes.get(dim, counts.sizes.get(dim)) for dim in ELEMENT}
-        sizes = {dim: array.sizes.get(dim) for dim in ELEMENT}
-        # one column stands for all
-        problems.add_if(
-            sizes[BAND] != expected[BAND] or sizes[CROSS_TRACK] not in (expected[CROSS_TRACK], 1),
-            f"{array.name!r} has sizes {sizes}, the calibration {expected}",
-            code="grid-mismatch",
-        )
-    problems.raise_if_any()
+        exposure = exposures[:1] if exposures.size == 1 else np.array([exposures.mean()])
+        counts, dark = frames["counts"], frames["dark_counts"]
+        for array in (counts, dark):
+            problems.add_if(
+                not set(ELEMENT) <= set(array.dims) <= {*ELEMENT, ALONG_TRACK},
+                f"{array.name!r} has dims {tuple(map(str, array.dims))}",
+                expected="([along_track,] band, cross_track)",
+                code="dims-wrong",
+            )
+            expected = {dim: calibration.sizes.get(dim, counts.sizes.get(dim)) for dim in ELEMENT}
+            sizes = {dim: array.sizes.get(dim) for dim in ELEMENT}
+            # one column stands for all
+            problems.add_if(
+                sizes[BAND] != expected[BAND] or sizes[CROSS_TRACK] not in (expected[CROSS_TRACK], 1),
+                f"{array.name!r} has sizes {sizes}, the calibration {expected}",
+                code="grid-mismatch",
+            )
     refuse_other_labels(frames, calibration, "frames", ELEMENT, "the calibration")
     other_dims = [dim for dim in counts.dims if dim not in ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
@@ -990,8 +990,7 @@ class Result:
             lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
             lab.etendue, min(max(low, 3.0 * self.wavelength_map.residual), high),
         )  # fmt: skip
-        if not has_gain.any():
-            raise refused("no column has four reliable lamp lines", code="lamp-lines-few")
+        refuse_if(not has_gain.any(), "no column has four reliable lamp lines", code="lamp-lines-few")
         # response from all lamp lines together, and whether it fits neither model
         self.measured = measured_shape(
             lab, self.sweep_data, lamp_lines, self.wavelength_map, is_placed, self.fwhm_at_steps, self.shape
@@ -1029,17 +1028,17 @@ class Result:
             electrons = self.electrons_per_count
             low, high = (electrons, electrons) if electrons is not None else PLAUSIBLE_SWEEP.electrons_range
             is_small, is_large = max_counts * low > 1.05, max_counts * high < 1e-3
-            if is_small or is_large:
-                share, size = (max_counts * low, "small") if is_small else (max_counts * high, "large")
-                at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
-                raise refused(
-                    f"{share:.3g} electrons out per photon in{at}, as flux x capture_fraction x "
-                    f"exposure_time is too {size}",
-                    expected="below 1" if is_small else "above 0.001",
-                    mend="check the units of flux (uW for W) and of exposure_time (ms for s), and "
-                    "capture_fraction; without an absolute scale, pass absolute=False",
-                    code="scale-implausible",
-                )
+            share, size = (max_counts * low, "small") if is_small else (max_counts * high, "large")
+            at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
+            refuse_if(
+                is_small or is_large,
+                f"{share:.3g} electrons out per photon in{at}, as flux x capture_fraction x "
+                f"exposure_time is too {size}",
+                expected="below 1" if is_small else "above 0.001",
+                mend="check the units of flux (uW for W) and of exposure_time (ms for s), and "
+                "capture_fraction; without an absolute scale, pass absolute=False",
+                code="scale-implausible",
+            )
         self._warn()
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
@@ -1331,22 +1330,20 @@ def quantum_efficiency(
     >>> round(float(quantum_efficiency(made, 20.0)[0]), 4)
     0.3612
     """
-    names = ["responsivity", "wavelength"]
     SchemaError.raise_if(
         calibration.attrs.get("absolute_scale") == "unknown",
         "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
         mend="add one with hyperpaint.calibration.anchor_to_radiance",
         code="scale-unknown",
     )
-    if electrons_per_count is None:
-        SchemaError.raise_if(
-            "electrons_per_count" not in calibration.variables,
-            "'electrons_per_count' is missing for a quantum efficiency",
-            mend="pass electrons_per_count=, or hyperpaint.radiometry.estimate_noise",
-            code="variable-missing",
-        )
-        names.append("electrons_per_count")
-    inputs = require(calibration, names, "a quantum efficiency")
+    stored = ["electrons_per_count"] if electrons_per_count is None else []
+    SchemaError.raise_if(
+        not set(stored) <= set(calibration.variables),
+        "'electrons_per_count' is missing for a quantum efficiency",
+        mend="pass electrons_per_count=, or hyperpaint.radiometry.estimate_noise",
+        code="variable-missing",
+    )
+    inputs = require(calibration, ["responsivity", "wavelength", *stored], "a quantum efficiency")
     electrons: Any = inputs.get("electrons_per_count", electrons_per_count)
     photon = PLANCK_TIMES_LIGHT / (inputs["wavelength"] * 1e-9)
     efficiency = (inputs["responsivity"] * electrons * photon).median(CROSS_TRACK).transpose(BAND)
@@ -1596,8 +1593,7 @@ def calibrate(
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
     if bad_elements is not None:
         bad = bad | on_elements(bad_elements, lab.counts, "bad_elements").to_numpy().astype(bool)
-    if bad.all():
-        raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
+    refuse_if(bad.all(), "no element has a finite dark that is not saturated", code="dark-invalid")
     flat_factors = (
         None
         if flat_field is None
@@ -1632,12 +1628,12 @@ def calibrate(
     sweep_data = read_lines(lab, bad, curve, flat_factors, tick)
     windows = sweep_data.windows
     dark = [float(w) for w, window in zip(lab.wavelength, windows, strict=True) if window is None]
-    if len(dark) > len(windows) - MIN_LINES:
-        raise refused(
-            f"no lamp line above noise at {len(dark)} of {len(windows)} steps ({listed(dark, 'nm')})",
-            mend="check the exposure of the dark, and the lamp",
-            code="steps-dark",
-        )
+    refuse_if(
+        len(dark) > len(windows) - MIN_LINES,
+        f"no lamp line above noise at {len(dark)} of {len(windows)} steps ({listed(dark, 'nm')})",
+        mend="check the exposure of the dark, and the lamp",
+        code="steps-dark",
+    )
     warn_if(dark, f"no lamp line above the noise at {listed(dark, 'nm')}: left out", "steps-dark")
     first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
@@ -1711,17 +1707,17 @@ def calibrate(
     # in the mean of steps, and by 20 % at 0.8.
     spacing = wavelength_map.spacing(np.arange(lab.shape[1]), lab.shape[2] // 2)
     monochromator = float(np.median(lab.width))
-    if not float(np.median(np.hypot(fwhm, monochromator) / spacing)) >= 1.0:
-        band_distance, band_width = float(np.median(spacing)), float(np.median(fwhm))
-        needed_width = np.sqrt(max(band_distance**2 - band_width**2, 0.0))
-        raise refused(
-            f"bands {band_distance:.3g} nm apart and {band_width:.2g} nm wide do not count the light between "
-            f"them, of lamp lines {monochromator:.2g} nm wide",
-            expected="bands that overlap",
-            mend="sweep with the monochromator's line widened to "
-            f"{1.2 * max(needed_width, band_distance):.2g} nm",
-            code="bands-undersampled",
-        )
+    band_distance, band_width = float(np.median(spacing)), float(np.median(fwhm))
+    needed_width = np.sqrt(max(band_distance**2 - band_width**2, 0.0))
+    refuse_if(
+        not float(np.median(np.hypot(fwhm, monochromator) / spacing)) >= 1.0,
+        f"bands {band_distance:.3g} nm apart and {band_width:.2g} nm wide do not count the light between "
+        f"them, of lamp lines {monochromator:.2g} nm wide",
+        expected="bands that overlap",
+        mend="sweep with the monochromator's line widened to "
+        f"{1.2 * max(needed_width, band_distance):.2g} nm",
+        code="bands-undersampled",
+    )
     camera_width = at_steps(lab, wavelength_map, fwhm)
     complete_edge_lines(lab, sweep_data, lamp_lines, wavelength_map, light_wavelength, camera_width, shape)
     return Result(
@@ -1752,8 +1748,6 @@ def calibrate(
 
 def _check_trusted(sweep_data: SweepData, lamp_lines: LampLines, fits: Sequence[Fits | None]) -> None:
     trusted = int(lamp_lines.trusted.any(axis=1).sum())
-    if trusted >= MIN_LINES:
-        return
     pairs = [(w, f) for w, f in zip(sweep_data.windows, fits, strict=True) if w is not None and f is not None]
     total = sum(window.columns.size for window, _ in pairs)
     n_saturated = sum(int(window.saturated.sum()) for window, _ in pairs)
@@ -1767,7 +1761,8 @@ def _check_trusted(sweep_data: SweepData, lamp_lines: LampLines, fits: Sequence[
             f"widen the monochromator's line: {failed} of {total} fits fail, of lamp lines {width:.2g} bands "
             "wide, narrower than the spacing of bands"
         )
-    raise refused(
+    refuse_if(
+        trusted < MIN_LINES,
         f"{trusted} steps have reliable lamp lines",
         expected=f"{MIN_LINES} or more",
         mend="; ".join(reasons or ["give more steps: the rest lie at the edge of the array"]),

@@ -41,6 +41,7 @@ from hyperpaint.base import (
     Problems,
     SchemaError,
     find,
+    finite_mean,
     label,
     one_of,
     require,
@@ -492,9 +493,9 @@ def listed(values: Any, unit: str = "", limit: int = 6) -> str:
     return f"{text}{f' {unit}' if unit else ''}{more}"
 
 
-def refused(found: str, *, expected: str = "", mend: str = "", code: str) -> SchemaError:
-    # Return the error for one problem of a sweep.
-    return SchemaError(_REFUSAL, problems=[Problem(found, expected, mend, code=code)])
+def refuse_if(is_fault: Any, found: str, *, expected: str = "", mend: str = "", code: str) -> None:
+    # Raise the error for one problem of a sweep.
+    Problems(_REFUSAL, SchemaError).raise_if_any((is_fault, Problem(found, expected, mend, code=code)))
 
 
 def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
@@ -617,12 +618,13 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     dark_exposure = values.get("dark_exposure_time", exposure)
     if exposure is None or dark_exposure is None:
         return None
-    is_by_step = STEP in dark.dims
-    if is_by_step:
+    array = np.asarray(dark.to_numpy(), np.float64)
+    if STEP in dark.dims:
         dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
-    elif dark_exposure.ndim:
+    else:
         # one dark for all steps: it needs a single exposure time
-        if np.ptp(dark_exposure) > 1e-6 * dark_exposure.max():
+        array, dark_exposure = array[None], np.atleast_1d(dark_exposure)
+        if np.ptp(dark_exposure) > 1e-6 * np.abs(dark_exposure).max():
             varying_name = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
                 f"{varying_name} varies from step to step, but there is one dark_counts",
@@ -630,10 +632,7 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
                 code="dark-per-step",
             )
             return None
-        dark_exposure = dark_exposure[0]
-    array = np.asarray(dark.to_numpy(), np.float64)
-    if not is_by_step:
-        array, dark_exposure = array[None], np.atleast_1d(dark_exposure)
+        dark_exposure = dark_exposure[:1]
     model = fit_dark_model(array, np.asarray(dark_exposure, np.float64))
     exposures_outside = [e for e in np.unique(exposure) if not model.is_valid_at(float(e))]
     if exposures_outside:
@@ -731,7 +730,7 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     # out; ``saturation`` is the count at which the converter is full, or None.
     bands, columns = net.shape
     valid_net = np.where(bad | ~np.isfinite(net), np.nan, net)
-    spectrum = _mean(valid_net, axis=1)
+    spectrum = finite_mean(valid_net, axis=1)
     is_valid = np.isfinite(spectrum)
     if not is_valid.any():
         return None
@@ -794,7 +793,7 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     lit_columns = np.flatnonzero(light > LIT * brightest)
     if not brightest > 0 or not lit_columns.size:
         return None
-    out_of_band = _mean(
+    out_of_band = finite_mean(
         np.where(np.isfinite(outside), outside, np.nan)[:, lit_columns] / light[lit_columns], axis=1
     )
     return Window(
@@ -808,14 +807,6 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
         out_of_band=np.where(np.isfinite(out_of_band), out_of_band, 0.0),
         band=peak,
     )
-
-
-def _mean(values: Floats, axis: int) -> Floats:
-    # Return the mean of finite values; NaN without finite values.
-    is_finite = np.isfinite(values)
-    count = is_finite.sum(axis=axis)
-    total = np.where(is_finite, values, 0.0).sum(axis=axis)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
@@ -1038,7 +1029,7 @@ def fit_wavelength_map(
     bands, columns = sizes
     u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
     lit = (int(column.min()), int(column.max()))
-    best, lowest = None, np.inf
+    candidates: list[tuple[float, WavelengthMap]] = []
     for trial in degrees:
         shape = (degree + 1, min(trial, max(n_columns - 1, 0)) + 1)
         terms = np.asarray(chebyshev.chebvander2d(u, v, [size - 1 for size in shape]), np.float64)
@@ -1047,10 +1038,9 @@ def fit_wavelength_map(
         rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
         # Bayesian information criterion, with a lower limit for rounding of counts
         criterion = band.size * 2.0 * np.log(rms + 1e-6) + coefficients.size * np.log(band.size)
-        if best is None or criterion < lowest:
-            best, lowest = WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms), criterion
-    assert best is not None
-    return best
+        fitted_map = WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms)
+        candidates.append((criterion, fitted_map))
+    return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) -> tuple[Floats, Bools]:
@@ -1598,12 +1588,11 @@ class LampLines:
         self.camera_width[index] = fits.parameters[:, WIDTH]
         for name in ("width", "amplitude", "area", "covariance", "chi2", "degrees"):
             getattr(self, name)[index] = getattr(fits, name)
+        centre, margin = fits.parameters[:, CENTRE], CLIPPING.min_edge_distance * fits.width
         with np.errstate(invalid="ignore"):
             self.area_u[index] = np.sqrt(fits.area_variance) / fits.area
             self.centre_u[index] = np.sqrt(fits.covariance[:, CENTRE, CENTRE])
             self.camera_width_u[index] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
-        centre, margin = fits.parameters[:, CENTRE], CLIPPING.min_edge_distance * fits.width
-        with np.errstate(invalid="ignore"):
             is_inside = (centre >= margin) & (centre <= bands - 1 - margin)
         self.trusted[index] = fits.converged & is_inside & ~window.saturated & np.isfinite(self.area_u[index])
 
@@ -1653,30 +1642,28 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         if len(peaks) > 2
         else np.zeros(0, np.intp)
     )
-    if reversed_steps.size:
-        listed_peaks = listed(
-            [
-                f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
-                for k in reversed_steps
-            ]
-        )
-        raise refused(
-            f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
-            mend="check that counts and step_wavelength belong together, in order",
-            code="steps-unordered",
-        )
+    listed_peaks = listed(
+        f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
+        for k in reversed_steps
+    )
+    refuse_if(
+        reversed_steps.size,
+        f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
+        mend="check that counts and step_wavelength belong together, in order",
+        code="steps-unordered",
+    )
     # lit columns without flux or capture fraction
     missing_flux = [
         f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
         for step, window in enumerate(windows)
         if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
     ]
-    if missing_flux:
-        raise refused(
-            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
-            mend="measure it there",
-            code="flux-missing",
-        )
+    refuse_if(
+        missing_flux,
+        f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+        mend="measure it there",
+        code="flux-missing",
+    )
     # one highest count that repeats along a column; a full well may lie below the end of the converter
     highest = np.where(bad, -np.inf, highest)
     limit = np.inf if lab.saturation is None else lab.saturation - float(SATURATION_MARGIN_COUNTS)

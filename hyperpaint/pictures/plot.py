@@ -32,9 +32,11 @@ from hyperpaint.base import (
     as_path,
     documented,
     find,
+    finite_mean,
     flag_names,
     flag_shares,
     flags_named,
+    grouped,
     has_own_overview,
     is_number,
     label_digest,
@@ -403,10 +405,10 @@ def draw_pixels(
     # uncertainty, shaded.
     wavelength = require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
     is_good = good_bands(dataset)
-    shift = np.zeros((wavelength.size, dataset.sizes[CROSS_TRACK]))
+    shift: Any = 0.0
     if "wavelength_shift" in dataset.variables:
-        variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
-        shift = np.broadcast_to(variable.values, shift.shape)
+        shift = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"].values
+    shift = np.broadcast_to(shift, (wavelength.size, dataset.sizes[CROSS_TRACK]))
     name = "reflectance" if "reflectance" in cubes else next(iter(cubes))
     styles = styles_of(_curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name))
     for axes, cube in zip(plots, cubes.values(), strict=True):
@@ -1243,7 +1245,7 @@ def scenes_and_spectra(
             draw_outlines(above, [region], colour=colour, named=False)
             style = _STYLES[number] if together else "-"
             label = label_for(region.name) if style == "-" else None
-            mean = _mean(_spectra_at(line[quantity], along, across), axis=0)
+            mean = finite_mean(_spectra_at(line[quantity], along, across), axis=0)
             below.plot(line["wavelength"].values, mean, style, color=colour, label=label)
         below.set(
             xlabel="wavelength [nm]",
@@ -1383,14 +1385,14 @@ def adjacency_figure(
     for name, dataset in lines.items():
         cube = require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
         style, is_labelled = ("--", False) if name else ("-", True)
-        transects[name] = _mean(
+        transects[name] = finite_mean(
             _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1), axis=1
         )
         _draw_bands(plots["along"], distance, transects[name], nm, wavelengths, style, is_labelled)
         for region, place, colour in zip(regions, places, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
             # mean of the region's pixels; for the line itself also their middle half
             spectra, axes = _spectra_at(cube, *place)[:, order], plots["spectra"]
-            mean = _mean(spectra, axis=0)
+            mean = finite_mean(spectra, axis=0)
             if is_labelled:
                 is_finite = np.isfinite(mean)
                 lower, upper = np.nanquantile(spectra[:, is_finite], _QUARTILES, axis=0)
@@ -1404,7 +1406,7 @@ def adjacency_figure(
         )
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
-        adjacency = _mean(layer[route[..., 0], route[..., 1]], axis=1)
+        adjacency = finite_mean(layer[route[..., 0], route[..., 1]], axis=1)
         ink = ink_of(plots["added"])
         plots["added"].plot(
             distance, adjacency, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]"
@@ -1432,45 +1434,38 @@ def adjacency_figure(
 
 
 def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
-    problems = Problems("adjacency cannot be drawn", SchemaError)
     line, *comparisons = lines.values()
     shape = dict(line["reflectance"].sizes)
-    problems.extend(
-        Problem(
-            "without= has no reflectance of the line's size", expected=f"shape {shape}", code="grid-mismatch"
+    with Problems("adjacency cannot be drawn", SchemaError) as problems:
+        problems.extend(
+            Problem(
+                "without= has no reflectance of the line's size",
+                expected=f"shape {shape}",
+                code="grid-mismatch",
+            )
+            for comparison in comparisons
+            if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
         )
-        for comparison in comparisons
-        if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
-    )
-    problems.add_if(width < 1, f"width={width}", expected="1 or more pixels", code="value-out-of-range")
-    pairs = [regions_from(regions) for regions in (near, far)]
-    problems.extend(
-        Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
-        for name, regions in zip(("near", "far"), pairs, strict=True)
-        if len(regions) != 1
-    )
-    problems.raise_if_any()
-    pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
-    problems.extend(
-        Problem(f"region {region.name!r} holds no pixel of the line", code="region-empty")
-        for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True)
-        if not along.size
-    )
-    problems.raise_if_any()
+        problems.add_if(width < 1, f"width={width}", expected="1 or more pixels", code="value-out-of-range")
+        pairs = [regions_from(regions) for regions in (near, far)]
+        problems.extend(
+            Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
+            for name, regions in zip(("near", "far"), pairs, strict=True)
+            if len(regions) != 1
+        )
+        problems.raise_if_any()
+        pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
+        problems.extend(
+            Problem(f"region {region.name!r} holds no pixel of the line", code="region-empty")
+            for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True)
+            if not along.size
+        )
     return pair
 
 
 def _spectra_at(cube: xr.DataArray, along: Array, across: Array) -> Array:
     spectra, _ = gather({"reflectance": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
     return spectra["reflectance"].astype(np.float64)
-
-
-def _mean(values: Array, axis: int) -> Array:
-    # mean of finite values; NaN where all are missing
-    is_finite = np.isfinite(values)
-    count = is_finite.sum(axis=axis)
-    mean = np.where(is_finite, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
-    return np.asarray(np.where(count > 0, mean, np.nan))
 
 
 def _draw_bands(
@@ -2552,9 +2547,9 @@ def validation_figure(
         code="value-out-of-range",
     )
     # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
-    pairs_by_paint: dict[str, list[int]] = {}
-    for number, spectra in enumerate(validation.spectra):
-        pairs_by_paint.setdefault(str(spectra.attrs["signature"]), []).append(number)
+    pairs_by_paint = grouped(
+        (str(spectra.attrs["signature"]), number) for number, spectra in enumerate(validation.spectra)
+    )
     paints, count = list(pairs_by_paint.values()), len(pairs_by_paint)
     if count > MAX_PAIRS:
         rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
