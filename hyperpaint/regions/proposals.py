@@ -48,6 +48,7 @@ from hyperpaint.base import (
     as_progress,
     documented,
     flag_names,
+    grouped,
     is_number,
     schema,
     takes_quantities,
@@ -2114,10 +2115,11 @@ def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tupl
     neighbours = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
     # corner of a pixel where its upper, right, lower, left side begins
     corners = ((0, 0), (0, 1), (1, 1), (1, 0))
-    sides: dict[tuple[int, int], list[int]] = {}
-    for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True)):
-        for line, column in np.argwhere(mask & ~neighbour).tolist():
-            sides.setdefault((line + dy, column + dx), []).append(direction)
+    sides: dict[tuple[int, int], list[int]] = grouped(
+        ((line + dy, column + dx), direction)
+        for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True))
+        for line, column in np.argwhere(mask & ~neighbour).tolist()
+    )
     rings = []
     while sides:
         # start at the first corner in line order: the first ring then is the outer ring

@@ -31,6 +31,7 @@ from hyperpaint.base import (
     THROUGH_COAT,
     Array,
     Floats,
+    Problem,
     Problems,
     Progress,
     Quality,
@@ -139,9 +140,12 @@ def without_coat(
         return corrected
     is_corrected = xr.DataArray(has_coat, dims=SIGNATURE)
     # reflectance of the other regions stays unchanged, their transmission is certainly 1
-    uncorrected: dict[str, Any] = {name: library[name] for name in (*LEVELS, *WIDTHS) if name in library}
-    uncorrected |= {"coat_transmission": 1.0, "coat_transmission_u": 0.0}
-    uncorrected.setdefault("reflectance_u_coat", 0.0)
+    uncorrected: dict[str, Any] = {
+        "reflectance_u_coat": 0.0,
+        **{name: library[name] for name in (*LEVELS, *WIDTHS) if name in library},
+        "coat_transmission": 1.0,
+        "coat_transmission_u": 0.0,
+    }
     return corrected.assign(
         {
             name: corrected[name].where(is_corrected, values).transpose(*corrected[name].dims)
@@ -753,25 +757,24 @@ def extract_signatures(
     """
     region_list = regions_from(regions)
     flags = EXCLUDED if exclude is None else exclude
-    problems = Problems("signatures cannot be extracted", SchemaError)
-    problems.add_if(
-        not len(region_list),
-        "regions= is empty",
-        mend="draw regions, or call propose_regions",
-        code="empty-input",
-    )
-    problems.add_if(
-        not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality),
-        f"exclude={flags!r:.40}",
-        expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
-        code="choice-unknown",
-    )
-    for name, count, minimum in (("members", members, 0), ("min_pixels", min_pixels, 1)):
+    with Problems("signatures cannot be extracted", SchemaError) as problems:
         problems.add_if(
-            count < minimum, f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range"
+            not len(region_list),
+            "regions= is empty",
+            mend="draw regions, or call propose_regions",
+            code="empty-input",
         )
-    one_of(centre, CENTRES, "centre", problems=problems)
-    problems.raise_if_any()
+        problems.add_if(
+            not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality),
+            f"exclude={flags!r:.40}",
+            expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+            code="choice-unknown",
+        )
+        for name, count, minimum in (("members", members, 0), ("min_pixels", min_pixels, 1)):
+            problems.add_if(
+                count < minimum, f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range"
+            )
+        one_of(centre, CENTRES, "centre", problems=problems)
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
         SchemaError.raise_if(
             value is not None and not (specular_sky or coat),
@@ -786,16 +789,15 @@ def extract_signatures(
         for name, (dataset, _) in lines.items()
     }
     (first_name, first_source), *further = sources.items()
-    problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
-    for other_name, other in further:
-        nm, first_nm = other.wavelength, first_source.wavelength
-        problems.add_if(
-            nm.shape != first_nm.shape or not np.allclose(nm, first_nm, rtol=0.0, atol=1e-3),
-            f"bands of {other_name!r} differ from those of {first_name!r}",
-            mend="extract a library from every line",
-            code="bands-differ",
-        )
-    problems.raise_if_any()
+    with Problems("signatures of these flight lines cannot be in one library", SchemaError) as problems:
+        for other_name, other in further:
+            nm, first_nm = other.wavelength, first_source.wavelength
+            problems.add_if(
+                nm.shape != first_nm.shape or not np.allclose(nm, first_nm, rtol=0.0, atol=1e-3),
+                f"bands of {other_name!r} differ from those of {first_name!r}",
+                mend="extract a library from every line",
+                code="bands-differ",
+            )
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
     pixels = _pixels_of_regions(region_list, lines, sources)
     rounds = [
@@ -803,17 +805,15 @@ def extract_signatures(
         for name, (_, positions) in lines.items()
         for batch, bands in _rounds(sources[name], positions, pixels, all_bands=centre == "geometric_median")
     ]
-    if centre == "geometric_median":
-        problems = Problems("the geometric median needs all bands of a region in memory", SchemaError)
-        for name, (number, *_), bands in rounds:
-            if bands.start == 0 and bands.stop < sources[name].wavelength.size:
-                problems.add(
-                    f"region {region_list[number].name!r} has {pixels[number].size} pixels: more than "
-                    f"{MAX_COMPLETE_BYTES >> 20} MiB",
-                    mend='draw a smaller region, or pass centre="trimmed_mean"',
-                    code="region-too-large",
-                )
-        problems.raise_if_any()
+    with Problems("the geometric median needs all bands of a region in memory", SchemaError) as problems:
+        for name, (number, *_), bands in rounds if centre == "geometric_median" else ():
+            problems.add_if(
+                bands.start == 0 and bands.stop < sources[name].wavelength.size,
+                f"region {region_list[number].name!r} has {pixels[number].size} pixels: more than "
+                f"{MAX_COMPLETE_BYTES >> 20} MiB",
+                mend='draw a smaller region, or pass centre="trimmed_mean"',
+                code="region-too-large",
+            )
     drafts = [Draft(sources[names[position]], region_pixels) for position, region_pixels in enumerate(pixels)]
     unknown = [
         f"{region.name!r} ({finish!s:.40})"
@@ -855,14 +855,11 @@ def extract_signatures(
     small = _small(region_list, drafts, min_pixels)
     large_enough = [number for number in range(len(region_list)) if number not in small]
     if small and not (drop_small and large_enough):
-        problems = Problems("regions have too few usable pixels", SchemaError)
-        for text in small.values():
-            problems.add(
-                text,
-                mend="draw another region, exclude fewer flags, lower min_pixels, or pass drop_small=True",
-                code="region-too-small",
-            )
-        problems.raise_if_any()
+        mend = "draw another region, exclude fewer flags, lower min_pixels, or pass drop_small=True"
+        raise SchemaError(
+            "regions have too few usable pixels",
+            problems=[Problem(text, mend=mend, code="region-too-small") for text in small.values()],
+        )
     searched = _searched_flags(sources, drafts, names, flags | UNSTEADY if exclude is None else flags)
     if exclude is None and (unsteady := [k for k in large_enough if drafts[k].values["quality"] & UNSTEADY]):
         warn_user(
@@ -1239,10 +1236,11 @@ def paint_library(
         ("member_along_track", -1),
         ("member_cross_track", -1),
     ):
-        padded = [np.full((max_members, *array.shape[1:]), fill, array.dtype) for array in values[name]]
-        for rows, array in zip(padded, values[name], strict=True):
-            rows[: len(array)] = array
-        values[name] = padded
+        # all paints have as many rows as the paint with the most members
+        pads = [[(0, max_members - len(array)), *[(0, 0)] * (array.ndim - 1)] for array in values[name]]
+        values[name] = [
+            np.pad(array, pad, constant_values=fill) for array, pad in zip(values[name], pads, strict=True)
+        ]
     values |= {
         "signature": list(regions.names),
         "quantile": list(QUANTILES),

@@ -21,6 +21,7 @@ from hyperpaint.base import (
     MissingExtraError,
     Problems,
     SchemaError,
+    grouped,
     schema,
 )
 from hyperpaint.geometry.georeference.locating import between_maps, crs_of
@@ -326,21 +327,25 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
         mapped = () if single is None else lines_of_cells(schema.rename_to_roles(lines_by_name[single]))
         # a single line without a name is the flight line of all regions if these name at most one
         is_nameless = single == "" and len(regions.flightlines) < 2 and not mapped
-        lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
-        for position, region in enumerate(regions):
+        known = " or ".join(map(repr, mapped or lines_by_name)) or "no flight line"
+        names = []
+        for region in regions:
             on_single = is_nameless or not region.flightline or region.flightline.replace(" ", "_") in mapped
             name = single if single is not None and on_single else region.flightline
-            if name in lines_by_name:
-                if name not in lines:
-                    lines[name] = (located_for(regions, lines_by_name[name]), [])
-                lines[name][1].append(position)
-                continue
-            names = " or ".join(map(repr, mapped or lines_by_name)) or "no flight line"
             naming = (
                 f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
             )
-            problems.add(f"region {region.name!r} {naming}", expected=names, code="flightline-unknown")
-    return lines
+            problems.add_if(
+                name not in lines_by_name,
+                f"region {region.name!r} {naming}",
+                expected=known,
+                code="flightline-unknown",
+            )
+            names.append(name)
+    return {
+        name: (located_for(regions, lines_by_name[name]), positions)
+        for name, positions in grouped((name, position) for position, name in enumerate(names)).items()
+    }
 
 
 def _by_name(line: Any) -> dict[str, xr.Dataset]:
