@@ -49,6 +49,7 @@ from hyperpaint.geometry.orthorectification.mapping import (
     check_cells,
     covering,
     empty_value,
+    grid_coordinates,
     in_slabs,
     line_chunks,
     needed_slabs,
@@ -245,7 +246,9 @@ def strips_of(
                 for axis, size in zip(("y", "x"), sizes, strict=True)
             }
             strip = xr.Dataset(
-                cut, coords={**band_coordinates, **axis_coordinates, **_reference(line)}, attrs=line.attrs
+                cut,
+                coords={**band_coordinates, **axis_coordinates, "spatial_ref": _reference(line)},
+                attrs=line.attrs,
             )
             strips.append(Strip(name, strip, (row, col), np.ones([len(size) for size in sizes], bool)))
             continue
@@ -320,19 +323,19 @@ def _positions(line: xr.Dataset) -> tuple[da.Array, da.Array]:
     return in_slabs(east, slabs), in_slabs(north, slabs)
 
 
-def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
-    return {"spatial_ref": line["spatial_ref"].variable} if "spatial_ref" in line.variables else {}
+def _reference(line: xr.Dataset) -> xr.Variable:
+    return line["spatial_ref"].variable if "spatial_ref" in line.variables else xr.Variable((), 0)
 
 
 def _crs(line: xr.Dataset) -> Any:
     if not is_map(line):
         return line["east"].attrs.get("crs")
     named = line["x"].attrs.get("crs") if "x" in line.coords else None
-    return named or _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("crs_wkt")
+    return named or _reference(line).attrs.get("crs_wkt")
 
 
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
-    text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
+    text = _reference(line).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
     problems.add_if(
         not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0),
@@ -492,10 +495,11 @@ def mosaic(
         "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
         "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
     }
-    layers: dict[str, Any] = {}
-    for name, (dtype, meaning, attrs) in planes_of_choice.items():
-        attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
-        layers[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
+    in_map = {"grid_mapping": "spatial_ref"}
+    layers: dict[str, Any] = {
+        name: (("y", "x"), tiles.plane(planes, name, dtype), {**attrs, "long_name": meaning, **in_map})
+        for name, (dtype, meaning, attrs) in planes_of_choice.items()
+    }
     factors = None
     if levelling is not None:
         cubes = [name for name in names_of_all if name not in flat and first[name].ndim == 3]
@@ -529,7 +533,7 @@ def mosaic(
             if name in flat
             else tiles.spectra(layers["flightline"][1], name, factors)
         )
-        layers[name] = (first[name].dims, lazy, {**first[name].attrs, "grid_mapping": "spatial_ref"})
+        layers[name] = (first[name].dims, lazy, {**first[name].attrs, **in_map})
     band_coordinates = {
         name: coordinate.variable
         for name, coordinate in first.coords.items()
@@ -551,7 +555,8 @@ def mosaic(
     # cut the tiles to the extent of the lines
     offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
     rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
-    return tiled.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
+    axes = {name: first[name].attrs if name in first.coords else {"units": "m"} for name in ("x", "y")}
+    return tiled.isel(y=rows, x=cols).assign_coords(grid_coordinates(grid, _reference(first).attrs, axes))
 
 
 def _planes_of_tile(
@@ -731,24 +736,6 @@ class _Tiles:
         return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], (sources, factors), (bands,))
 
 
-def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
-    rows, cols = grid.shape
-    (east, _), (_, north) = (
-        grid.centres(slice(0, 1), slice(0, cols)),
-        grid.centres(slice(0, rows), slice(0, 1)),
-    )
-    attrs = first["spatial_ref"].attrs if "spatial_ref" in first.variables else {}
-    return {
-        "x": ("x", east[0], first["x"].attrs if "x" in first.coords else {"units": "m"}),
-        "y": ("y", north[:, 0], first["y"].attrs if "y" in first.coords else {"units": "m"}),
-        "spatial_ref": (
-            (),
-            np.int64(0),
-            {**attrs, "GeoTransform": " ".join(repr(float(number)) for number in grid.transform)},
-        ),
-    }
-
-
 def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
     """Return the area that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
 
@@ -836,8 +823,7 @@ def _connected_parts(incidence: Floats) -> Ints:
     # Return the number of the connected part of each line (line,).
     from scipy.sparse.csgraph import connected_components
 
-    labels: Ints = connected_components(np.abs(incidence).T @ np.abs(incidence))[1]
-    return labels
+    return np.asarray(connected_components(np.abs(incidence).T @ np.abs(incidence))[1])
 
 
 def _ratios(recipes: dict[int, Recipe]) -> list[tuple[int, int, Floats, Floats]]:
@@ -1147,5 +1133,4 @@ def _fields_at(picture: _Picture, cell: Array) -> Floats:
     from scipy.ndimage import map_coordinates
 
     position = (cell - picture.corner)[:, None]
-    values = [map_coordinates(values, position, order=1, cval=np.nan)[0] for values in picture.fields]
-    return np.array(values)
+    return np.array([map_coordinates(values, position, order=1, cval=np.nan)[0] for values in picture.fields])

@@ -796,20 +796,18 @@ def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[in
             source = source.astype("datetime64[ns]") if source.dtype.kind == "M" else source
             empty = empty_value(name, source.dtype)
             is_flags = "flag_masks" in source.attrs or name == "quality"
-            kind = "bilinear" if source.dtype.kind == "f" and name not in _WRAPPING else "nearest"
-            kind = "flags" if is_flags else kind
+            is_between = is_flags or (source.dtype.kind == "f" and name not in _WRAPPING)
             if source.ndim == 2:
                 plane = in_slabs(source.transpose(*_PIXEL), lines)
-                reading = tiles.nearest if kind == "nearest" or not tiles.bilinear else tiles.before
+                reading = tiles.before if tiles.bilinear and is_between else tiles.nearest
                 # flags of all pixels are joined
-                options = (kind == "flags", empty)
+                options = (is_flags, empty)
                 values = tiles.tiles_of("map-plane", plane_values, reading, plane, options)
             else:
                 row = source.chunk({source.dims[0]: -1}).data
                 options = (source.dims == (ALONG_TRACK,), empty)
                 values = tiles.tiles_of("map-nearest", nearest_values, tiles.index, row, options)
-        attrs = {key: value for key, value in line[name].attrs.items() if key != "grid_mapping"}
-        attrs["grid_mapping"] = "spatial_ref"
+        attrs = {**line[name].attrs, "grid_mapping": "spatial_ref"}
         array = xr.DataArray(values, dims=("y", "x", BAND)[: values.ndim], attrs=attrs)
         if name == "quality":
             array = label(array, name, **attrs)
@@ -1160,30 +1158,45 @@ def _numbers_at(positions: Array, numbers: Array) -> Array:
 
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:
-    grid = tiles.grid
-    transform = " ".join(repr(float(number)) for number in grid.transform)
-    attrs: dict[str, Any] = {"GeoTransform": transform}
+    reference: dict[str, Any] = {}
     if crs is not None:
         has_crs = "spatial_ref" in line.variables and "crs_wkt" in line["spatial_ref"].attrs
-        attrs |= line["spatial_ref"].attrs if has_crs else grid_mapping_attrs(crs_of(crs))
-    coordinates: dict[str, Any] = {"spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform})}
+        reference = line["spatial_ref"].attrs if has_crs else grid_mapping_attrs(crs_of(crs))
     crs_attrs = {} if crs is None else {"crs": crs}
-    rows, cols = grid.shape
-    if grid.axes.right == (1.0, 0.0):
-        east, _ = grid.centres(slice(0, 1), slice(0, cols))
-        _, north = grid.centres(slice(0, rows), slice(0, 1))
-        for name, values, direction in (("x", east[0], "east"), ("y", north[:, 0], "north")):
-            axis = {"standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
-            coordinates[name] = (
-                name,
-                values,
-                {"units": "m", **axis, "long_name": f"Map coordinate to the {direction}", **crs_attrs},
-            )
+    axes = {
+        name: {
+            "units": "m",
+            "standard_name": f"projection_{name}_coordinate",
+            "axis": name.upper(),
+            "long_name": f"Map coordinate to the {direction}",
+            **crs_attrs,
+        }
+        for name, direction in (("x", "east"), ("y", "north"))
+    }
+    coordinates = grid_coordinates(tiles.grid, reference, axes)
+    if tiles.grid.axes.right == (1.0, 0.0):
         return coordinates
     # x and y would be distances from a corner, which other programs would read as map coordinates near 0, 0
-    for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):
-        coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **crs_attrs)
-    return coordinates
+    return {"spatial_ref": coordinates["spatial_ref"]} | {
+        name: label(xr.DataArray(lazy, dims=("y", "x")), name, **crs_attrs)
+        for name, lazy in zip(("east", "north"), tiles.centres(), strict=True)
+    }
+
+
+def grid_coordinates(
+    grid: MapGrid, reference: Mapping[Any, Any], axes: Mapping[str, Mapping[Any, Any]]
+) -> dict[str, Any]:
+    # Return the coordinates x, y and spatial_ref of a grid with north up.
+    #
+    # ``reference`` are attributes of the CRS; ``axes`` attributes of x and y.
+    east, _ = grid.centres(slice(0, 1), slice(0, grid.shape[1]))
+    _, north = grid.centres(slice(0, grid.shape[0]), slice(0, 1))
+    transform = " ".join(repr(float(number)) for number in grid.transform)
+    return {
+        "spatial_ref": ((), np.int64(0), {**reference, "GeoTransform": transform}),
+        "x": ("x", east[0], axes["x"]),
+        "y": ("y", north[:, 0], axes["y"]),
+    }
 
 
 def map_report(made: xr.Dataset) -> dict[str, float]:
@@ -1280,7 +1293,10 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
 
 def describe_swath(attrs: dict[Any, Any]) -> str:
     # Return the attributes of `swath_attrs`, and the heights and angles used, as one line of text.
-    units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
-    units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
+    units = {
+        "height_above_ground": "{:.1f} m above the ground",
+        "swath": "swath {:.1f} m",
+        "pixel_aspect": "pixels {:.2f} times as long as wide",
+    }
     texts = [text.format(attrs[name]) for name, text in units.items() if name in attrs]
     return ", ".join([*texts, *([attrs["location_from"]] if "location_from" in attrs else [])])
