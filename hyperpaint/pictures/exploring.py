@@ -8,6 +8,7 @@ import contextlib
 import functools
 import hashlib
 import html
+import itertools
 import os
 import secrets
 import signal
@@ -242,9 +243,8 @@ class Explored:
         corners = corners_at(along, across, self.shape)
         if corners is None:
             return None
-        number = 1
-        while (name := f"region {number}") in self._all_regions.names:
-            number += 1
+        taken = self._all_regions.names
+        name = next(name for number in itertools.count(1) if (name := f"region {number}") not in taken)
         self.drawn = Regions((*self.drawn, Region(name, corners, flightline=self.flightline)))
         return name
 

@@ -1122,12 +1122,12 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats, proble
         expected="at least one line, band and column",
         code="empty-input",
     )
-    good = np.ones(wavelength.size, bool)
-    if "good" in line.variables:
-        if line["good"].dims != (BAND,):
-            problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
-        else:
-            good = line["good"].values.astype(bool)
+    stated = line.get("good", xr.DataArray(np.ones(wavelength.size, bool), dims=BAND))
+    has_dims = stated.dims == (BAND,)
+    problems.add_if(
+        not has_dims, f"'good' has dims {stated.dims}", expected=f"({BAND!r},)", code="dims-wrong"
+    )
+    good = stated.values.astype(bool) if has_dims else np.ones(wavelength.size, bool)
     problems.add_if(
         not good.any(),
         f"'good' is False in all {good.size} bands",
