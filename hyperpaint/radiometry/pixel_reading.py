@@ -351,13 +351,12 @@ def _entry_of(line: xr.Dataset) -> Entry:
     stored = declared_scale(line, other_light=False)
     options = (stored is None, None, False, make_plan, shape, dtype.str)
     entry = PLANS.entry(line, options)
-    if entry is not None and len(entry.labels.coords):
+    if entry.plan is not None and len(entry.labels.coords):
         return entry
     scale_panels = () if stored is None else declared_panels(line)
     inputs = plan_inputs(line, stored, scale_panels)[1]
-    if entry is None:
+    if entry.plan is None:
         (values,) = dask.compute(inputs, scheduler=scheduler_in_force())
-        entry = Entry(line, options)
         entry.plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **values)
     # small coordinates and the smile
     coords = {

@@ -358,47 +358,48 @@ def make_plan(
 
 
 def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
-    problems = Problems("this line cannot be calibrated", SchemaError)
-    for name in ("dark_counts", "radiance_gain", FLAT):
+    with Problems("this line cannot be calibrated", SchemaError) as problems:
+        for name in ("dark_counts", "radiance_gain", FLAT):
+            problems.add_if(
+                name in cube and np.shape(cube[name])[-2:] != shape[1:],
+                f"{name!r} has shape {np.shape(cube.get(name, 0.0))}",
+                expected=f"(band, cross_track) = {shape[1:]}",
+                code="length-mismatch",
+            )
+        exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
+        invalid = exposure[~(np.isfinite(exposure) & (exposure > 0))]
+        if invalid.size:
+            problems.add(
+                f"'exposure_time' is {invalid[0]:g} s",
+                expected="a positive number",
+                code="value-out-of-range",
+            )
+        elif (exposure > 60).any():
+            problems.add(
+                f"'exposure_time' is {exposure.max():g} s",
+                expected="at most 60 s",
+                mend="set its units to 'ms' if it is in milliseconds",
+                code="exposure-implausible",
+            )
+        gain = np.asarray(cube.get("radiance_gain", 1.0))
         problems.add_if(
-            name in cube and np.shape(cube[name])[-2:] != shape[1:],
-            f"{name!r} has shape {np.shape(cube.get(name, 0.0))}",
-            expected=f"(band, cross_track) = {shape[1:]}",
-            code="length-mismatch",
+            np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0,
+            "'radiance_gain' is not positive",
+            mend="mark bad elements by NaN",
+            code="value-out-of-range",
         )
-    exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
-    invalid = exposure[~(np.isfinite(exposure) & (exposure > 0))]
-    if invalid.size:
-        problems.add(
-            f"'exposure_time' is {invalid[0]:g} s", expected="a positive number", code="value-out-of-range"
+        problems.add_if(
+            not np.isfinite(gain).any(), "'radiance_gain' contains no finite value", code="not-finite"
         )
-    elif (exposure > 60).any():
-        problems.add(
-            f"'exposure_time' is {exposure.max():g} s",
-            expected="at most 60 s",
-            mend="set its units to 'ms' if it is in milliseconds",
-            code="exposure-implausible",
+        saturation = float(np.nanmin(np.append(np.asarray(cube.get("saturation_count", np.inf)), np.inf)))
+        problems.add_if(
+            saturation <= 2 * SATURATION_MARGIN_COUNTS,
+            f"'saturation_count' is {saturation:g}",
+            expected="the highest count of the converter, such as 4095",
+            code="saturation-implausible",
         )
-    gain = np.asarray(cube.get("radiance_gain", 1.0))
-    problems.add_if(
-        np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0,
-        "'radiance_gain' is not positive",
-        mend="mark bad elements by NaN",
-        code="value-out-of-range",
-    )
-    problems.add_if(
-        not np.isfinite(gain).any(), "'radiance_gain' contains no finite value", code="not-finite"
-    )
-    saturation = float(np.nanmin(np.append(np.asarray(cube.get("saturation_count", np.inf)), np.inf)))
-    problems.add_if(
-        saturation <= 2 * SATURATION_MARGIN_COUNTS,
-        f"'saturation_count' is {saturation:g}",
-        expected="the highest count of the converter, such as 4095",
-        code="saturation-implausible",
-    )
-    _linearity(cube).check(problems, _highest_count(cube))
-    check_stray_light(cube, *shape[1:], exposure, problems)
-    problems.raise_if_any()
+        _linearity(cube).check(problems, _highest_count(cube))
+        check_stray_light(cube, *shape[1:], exposure, problems)
 
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
@@ -608,36 +609,6 @@ MAX_EMBEDDED_BYTES = 8 * 2**20
 MAX_PENDING_PLANS = 16
 
 
-class _VariableState:
-    def __init__(self, variable: xr.Variable) -> None:
-        self.layout = (variable.dims, variable.shape, variable.dtype)
-        self.attrs = dict(variable.attrs)
-        self.values = None if _is_lazy(variable) else np.array(variable.values)
-        data = variable._data
-        # assigning to a part of a dask array changes its name
-        self.name = getattr(data, "name", None)
-        try:
-            self.source: Callable[[], Any] = weakref.ref(data)
-        except TypeError:  # xarray's wrapper of a file has no weak references
-            self.source = lambda: data
-
-    def matches(self, variable: xr.Variable) -> bool:
-        layout = (variable.dims, variable.shape, variable.dtype)
-        if self.layout != layout or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
-            return False
-        if self.values is None:
-            data = variable._data
-            return self.source() is data and self.name == getattr(data, "name", None) and _is_lazy(variable)
-        if _is_lazy(variable):
-            return False
-        values = np.asarray(variable.values)
-        if values.dtype == object:
-            return bool(np.array_equal(self.values, values))
-        # compare bytes: NaN equals NaN, and the sign of zero matters
-        stored, current = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
-        return bool(np.array_equal(stored, current))
-
-
 def _is_lazy(variable: xr.Variable) -> bool:
     data = variable._data
     return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
@@ -647,38 +618,44 @@ class Entry:
     # A plan with the inputs it was made from, and the small coordinates of its line.
     #
     # ``line``: flight line with dims named by role; ``options``: compared with ``==``.
-    plan: Plan
+    plan: Any = None  #: a `Plan`, None until it is made
     #: Small coordinates; the attributes are those of reflectance
     labels = xr.Dataset()
 
     def __init__(self, line: xr.Dataset, options: tuple[Any, ...]) -> None:
-        self._states = {name: _VariableState(variable) for name, variable in _small(line).items()}
-        self._attrs = dict(line.attrs)
         self._options = (*options, "counts" in line.variables)
+        self._attrs: dict[Any, Any] = dict(line.attrs)
+        self._contents, self._sources, self._nbytes = {}, {}, 0
+        for name, variable in line.variables.items():
+            if ALONG_TRACK in variable.dims and {BAND, CROSS_TRACK} & set(variable.dims):
+                continue
+            self._attrs |= {(name, key): value for key, value in variable.attrs.items()}
+            if _is_lazy(variable):
+                data = variable._data
+                # assigning to a part of a dask array changes its name
+                content = getattr(data, "name", None)
+                # an array that lives has one weak reference; xarray's wrapper of a file has none
+                self._sources[name] = weakref.ref(data) if isinstance(data, da.Array) else data
+            else:
+                # bytes are compared: NaN equals NaN, and the sign of zero matters
+                values = np.asarray(variable.values)
+                content = values.tolist() if values.dtype == object else values.tobytes()
+                self._nbytes += values.nbytes
+            self._contents[name] = (variable.dims, variable.shape, variable.dtype, content)
 
     @property
     def nbytes(self) -> int:
         # Bytes of the copies of small variables, of the coordinates, and of the plan where it is made.
-        copies = (state.values for state in self._states.values() if state.values is not None)
-        return sum(v.nbytes for v in copies) + self.labels.nbytes + bytes_of(getattr(self, "plan", None))
+        return self._nbytes + self.labels.nbytes + bytes_of(self.plan)
 
-    def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
-        # Return whether a line with these options gives the same plan.
-        small = _small(line)
+    def is_of(self, other: "Entry") -> bool:
+        # Return whether the inputs of another entry give the same plan.
         return (
-            self._options == (*options, "counts" in line.variables)
-            and self._states.keys() == small.keys()
-            and all(state.matches(small[name]) for name, state in self._states.items())
-            and bool(xr.core.utils.dict_equiv(self._attrs, line.attrs))
+            self._options == other._options
+            and self._contents == other._contents
+            and all(source is other._sources[name] for name, source in self._sources.items())
+            and bool(xr.core.utils.dict_equiv(self._attrs, other._attrs))
         )
-
-
-def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
-    return {
-        name: variable
-        for name, variable in line.variables.items()
-        if ALONG_TRACK not in variable.dims or not {BAND, CROSS_TRACK} & set(variable.dims)
-    }
 
 
 class PlanCache:
@@ -688,19 +665,18 @@ class PlanCache:
         self._entries: list[Entry] = []  # most recently used last
         self._pending: dict[str, Entry] = {}
 
-    def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
-        # Return the plan of a line; None where it is not cached.
-        with self._lock:
-            entries = self._entries[::-1]
-        for entry in entries:
-            if entry.is_of(line, options):
-                self.add(entry)
-                return entry
-        return None
+    def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry:
+        # Return the plan of a line; an entry without a plan where it is not cached.
+        entry = Entry(line, options)
+        for cached in self._entries[::-1]:
+            if cached.is_of(entry):
+                self.add(cached)
+                return cached
+        return entry
 
-    def expect(self, line: xr.Dataset, options: tuple[Any, ...]) -> str:
-        # Return the name with which a task will `fulfil` the plan of a line.
-        entry, name = Entry(line, options), uuid.uuid4().hex
+    def expect(self, entry: Entry) -> str:
+        # Return the name with which a task will `fulfil` the plan of an entry.
+        name = uuid.uuid4().hex
         with self._lock:
             if entry.nbytes <= MAX_BYTES // 2:
                 self._pending[name] = entry
@@ -746,10 +722,9 @@ def lazy_plan(
         name = f"make_plan-{dask.base.tokenize(planner, shape, dtype, starts, inputs)}"
         expected = ""
         if options is not None:
-            line_options = (*options, planner, shape, dtype)
-            entry = PLANS.entry(line, line_options)
-            if entry is None:
-                expected = PLANS.expect(line, line_options)
+            entry = PLANS.entry(line, (*options, planner, shape, dtype))
+            if entry.plan is None:
+                expected = PLANS.expect(entry)
             elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
                 return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
         return dask.delayed(_computed, pure=True)(
