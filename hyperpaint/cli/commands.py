@@ -38,6 +38,7 @@ from .options import (
     keys_of,
     program_option,
     progress_bar,
+    refuse_if,
     refuse_in_store,
     say_outcome,
     say_picture,
@@ -476,8 +477,10 @@ def make_map(
     map_options = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
     is_store = out.suffix.lower() == ".zarr"
     for name, is_set in (("geozarr", map_options["geozarr"]), ("flags", flags)):
-        if is_set and not is_store:
-            raise click.UsageError(f"--{name} needs an --out that ends in .zarr, not {out} [option-conflict]")
+        refuse_if(
+            is_set and not is_store,
+            f"--{name} needs an --out that ends in .zarr, not {out} [option-conflict]",
+        )
     _check_map(store, out)
     arguments = {**settings, **without_none(options)}
     with progress_bar("locating") as progress:
@@ -490,9 +493,11 @@ def make_map(
 
 
 def _check_map(store: Path, out: Path, *companions: Path | None) -> None:
-    if out.suffix.lower() not in (*RASTER_FORMATS, ".zarr"):
-        suffixes = f"{', '.join(RASTER_FORMATS)} or .zarr"
-        raise click.UsageError(f"--out {out}, expected a name that ends in {suffixes} [suffix-unknown]")
+    suffixes = f"{', '.join(RASTER_FORMATS)} or .zarr"
+    refuse_if(
+        out.suffix.lower() not in (*RASTER_FORMATS, ".zarr"),
+        f"--out {out}, expected a name that ends in {suffixes} [suffix-unknown]",
+    )
     refuse_in_store(store, out, *companions)
 
 
@@ -548,8 +553,10 @@ def make_mosaic(
     out = out or beside(store, "mosaic.tif")
     _check_map(store, out, seams)
     for path in (out, seams):
-        if path is not None and path.exists() and not overwrite:
-            raise click.UsageError(f"{path} exists; choose another path, or --overwrite [output-exists]")
+        refuse_if(
+            path is not None and path.exists() and not overwrite,
+            f"{path} exists; choose another path, or --overwrite [output-exists]",
+        )
     with progress_bar("locating") as progress:
         mosaic = workflows.maps.mosaic_of_store(
             store, lines, progress=progress, **settings, **without_none(options)
@@ -671,11 +678,11 @@ def make_signatures(
     }
     options |= {name: settings.pop(name) for name in ("coat_index",) if name in settings}
     location = without_none({name: options.pop(name) for name in ("ground", "dem")}) | settings
-    if limits and not flags:
-        spellings = ", ".join(f"--set {name}" for name in limits)
-        raise click.UsageError(
-            f"--no-flags and {spellings} cannot be combined; leave out one of them [option-conflict]"
-        )
+    spellings = ", ".join(f"--set {name}" for name in limits)
+    refuse_if(
+        limits and not flags,
+        f"--no-flags and {spellings} cannot be combined; leave out one of them [option-conflict]",
+    )
     out = out or beside(store, "paints.zarr")
     with progress_bar("flags and signatures" if flags else "extracting") as progress:
         library = workflows.field_day.write_signatures(
@@ -1046,12 +1053,18 @@ def list_paints(
     """
     from hyperpaint.validation.validating import aligned
 
-    if options["maximum_angle"] is not None and like is None:
-        raise click.UsageError("--maximum-angle needs --like [argument-missing]")
-    if options["maximum_colour_difference"] is not None and options["colour"] is None:
-        raise click.UsageError("--maximum-difference needs --colour [argument-missing]")
-    if library is not None and members is not None:
-        raise click.UsageError("--members is only for the starter library; leave it out [option-conflict]")
+    refuse_if(
+        options["maximum_angle"] is not None and like is None,
+        "--maximum-angle needs --like [argument-missing]",
+    )
+    refuse_if(
+        options["maximum_colour_difference"] is not None and options["colour"] is None,
+        "--maximum-difference needs --colour [argument-missing]",
+    )
+    refuse_if(
+        library is not None and members is not None,
+        "--members is only for the starter library; leave it out [option-conflict]",
+    )
     variants = without_none({"members": members})
     paints = hp.paints.starter_library(**variants) if library is None else hp.open_library(library)
     matches = hp.paints.search_library(paints, like=_spectrum(like, paints), **options)
@@ -1067,10 +1080,12 @@ def list_paints(
         if name in matches.variables and matches[name].dims == ("signature",)
     ]
     columns += [[str(value) for value in matches[name].values] for name in properties]
-    if "colour_difference" in matches.coords:
-        columns.append([f"colour difference {value:.1f}" for value in matches["colour_difference"].values])
-    if "spectral_angle" in matches.coords:
-        columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
+    distances = {"colour_difference": "colour difference {:.1f}", "spectral_angle": "angle {:.4f} rad"}
+    columns += [
+        [text.format(value) for value in matches[name].values]
+        for name, text in distances.items()
+        if name in matches.coords
+    ]
     click.echo("\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns))))
     if out is not None:
         with progress_bar("writing") as progress:
@@ -1086,8 +1101,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
     path = as_path(like)
-    if not path.exists():
-        raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
+    refuse_if(not path.exists(), f"--like {like!r} is neither a paint nor a file [paint-unknown]")
     is_svc = path.suffix.lower() == ".sig"
     is_asd = not is_svc and path.is_file() and sniff(path) == "binary"
     return (hp.open_svc if is_svc else hp.open_asd if is_asd else hp.open_library)(path)
@@ -1211,16 +1225,17 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
     out = out or beside(library, _DEFAULT_NAMES.get(form, form).format(library.stem))
     options_set = {name: value for name, value in options.items() if value not in (None, False)}
     curves = options_set.get("curves")
-    if set(options_set) - {"curves"} and form != "dirsig":
-        options_set.pop("curves", None)
-        names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in options_set)
-        raise click.UsageError(f"{names} only with --format dirsig [option-conflict]")
+    of_dirsig = [
+        f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in options_set if name != "curves"
+    ]
+    refuse_if(
+        of_dirsig and form != "dirsig", f"{', '.join(of_dirsig)} only with --format dirsig [option-conflict]"
+    )
     paints = hp.open_library(library)
     with progress_bar("writing") as progress:
         if "scene" in options_set:
-            if unused := sorted(set(options_set) - _SCENE_OPTIONS):
-                names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
-                raise click.UsageError(f"{names} not with --scene [option-conflict]")
+            unused = [f"--{name.replace('_', '-')}" for name in sorted(set(options_set) - _SCENE_OPTIONS)]
+            refuse_if(unused, f"{', '.join(unused)} not with --scene [option-conflict]")
             scene = workflows.rendering.export_dirsig_scene(
                 options_set.pop("scene"),
                 out,

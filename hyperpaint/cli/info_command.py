@@ -39,9 +39,9 @@ from hyperpaint.io.store import (
     store_state,
     virtual_groups,
 )
+from hyperpaint.io.store.budget import counted
 from hyperpaint.report.summaries import (
     Facts,
-    counted,
     facts_of_bands,
     facts_of_grid,
     facts_of_irradiance,

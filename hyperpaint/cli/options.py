@@ -442,11 +442,19 @@ def beside(source: Path, name: str) -> Path:
     return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
 
 
+def refuse_if(is_wrong: object, text: str) -> None:
+    # Refuse a call with this message (`click.UsageError`), if it is wrong.
+    if is_wrong:
+        raise click.UsageError(text)
+
+
 def refuse_in_store(store: Path, *products: Path | None) -> None:
     # Refuse a product inside the store from which it is made (`click.UsageError`).
-    for path in products:
-        if path is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-            raise click.UsageError(f"{path} is in the store itself; choose another path [output-in-store]")
+    for path in filter(None, products):
+        refuse_if(
+            store.resolve() in (path.resolve(), *path.resolve().parents),
+            f"{path} is in the store itself; choose another path [output-in-store]",
+        )
 
 
 def without_none(options: Mapping[str, Any]) -> dict[str, Any]:

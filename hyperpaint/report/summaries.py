@@ -20,6 +20,7 @@ from hyperpaint.base import (
     schema,
 )
 from hyperpaint.io.maps.map_grids import Grid, grid_of
+from hyperpaint.io.store.budget import counted
 from hyperpaint.light.daylight_colours import srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
 
@@ -106,11 +107,6 @@ def facts_of_bands(dataset: xr.Dataset) -> Facts:
     if "good" in dataset.coords and not dataset["good"].values.all():
         text += f", {counted(int((~dataset['good'].values).sum()), 'bad band')}"
     yield "wavelength", text
-
-
-def counted(number: int, thing: str) -> str:
-    # Return a number with its noun, in the singular or plural.
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def range_of(values: Any, units: str, digits: int = 3) -> str:
