@@ -55,7 +55,13 @@ from hyperpaint.base import (
     warn_user,
 )
 from hyperpaint.light.clear_sky import disort_tables, sunlight_table
-from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, line_light, noise_of_record
+from hyperpaint.light.illumination import (
+    ALIGNED_AT_NM,
+    ALIGNED_PER_NM,
+    line_light,
+    noise_of_record,
+    shift_at,
+)
 from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
@@ -1270,7 +1276,7 @@ def compared(line: xr.Dataset, rules: SimpleNamespace = COMPARISON) -> Compariso
     departures, slopes = _linearised(usable, parameters, rules)
     effects = [
         (
-            fit.light_at(fit.shift + _shift_at(fit.wavelength, *parameters[:2])[:, None], parameters[2])
+            fit.light_at(fit.shift + shift_at(fit.wavelength, *parameters[:2])[:, None], parameters[2])
             - fit.light_at(fit.shift, 1.0)
         ).mean(axis=1)
         for fit in usable
@@ -1359,18 +1365,13 @@ def _window_fit(
     )
 
 
-def _shift_at(wavelength: Floats, shift: float, tilt: float) -> Floats:
-    # Return the shift at wavelengths [nm] from the shift at 600 nm and its tilt.
-    return np.asarray(shift + tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
-
-
 def _linearised(
     fits: list[_WindowFit], parameters: Floats, rules: SimpleNamespace
 ) -> tuple[list[Floats], list[Floats]]:
     # Return departures (band, group) and their derivatives (parameter, band, group) of every window.
     departures, slopes = [], []
     for fit in fits:
-        shift, width = _shift_at(fit.wavelength, *parameters[:2]), float(parameters[2])
+        shift, width = shift_at(fit.wavelength, *parameters[:2]), float(parameters[2])
         by_shift = (
             fit.departure(shift + _DERIVATIVE_NM, width) - fit.departure(shift - _DERIVATIVE_NM, width)
         ) / (2 * _DERIVATIVE_NM)
@@ -1574,7 +1575,7 @@ def align(
         channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
         # the shift is constant beyond the compared bands
         limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
-        shifted = channels - _shift_at(limited, comparison.shift, comparison.tilt) + camera
+        shifted = channels - shift_at(limited, comparison.shift, comparison.tilt) + camera
         width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
         is_same_detector = channels <= max(VNIR_END_NM, comparison.wavelength.max())
         widths = xr.DataArray(
@@ -1909,16 +1910,15 @@ def apply_alignment(
     )
     columns = dataset.sizes[CROSS_TRACK]
     # the alignment with a leading dim of windows
-    problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
-    for kind, names, present, code in (
-        ("", _VARIABLES, alignment.variables, "variable-missing"),
-        ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
-    ):
-        for name in (name for name in names if name not in present):
-            problems.add(f"{kind}{name!r} is missing", code=code)
-    if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
-    problems.raise_if_any()
+    with Problems("this dataset is not a result of align_to_irradiance", SchemaError) as problems:
+        for kind, names, present, code in (
+            ("", _VARIABLES, alignment.variables, "variable-missing"),
+            ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
+        ):
+            for name in (name for name in names if name not in present):
+                problems.add(f"{kind}{name!r} is missing", code=code)
+        if _WINDOW not in alignment.attrs:
+            problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:
         if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:

@@ -644,15 +644,16 @@ def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Fl
     return np.asarray(matched)
 
 
+def shift_at(wavelength: Floats, shift: float, slope: float) -> Floats:
+    # Return the shift at wavelengths [nm] from the shift at 600 nm and its change over 100 nm.
+    return np.asarray(shift + slope * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
+
+
 class RecordDeparture(NamedTuple):
     # Difference of an irradiance record from its declaration, measured by a comparison with the camera.
     shift_nm: float  #: Wavelength of the camera minus wavelength of the record, at `ALIGNED_AT_NM` [nm]
     slope_nm: float  #: Change of the shift over `ALIGNED_PER_NM` [nm]
     width: float  #: Width of the record over the declared one [1]
-
-    def shift_at(self, wavelength: Floats) -> Floats:
-        # Return the shift at wavelengths [nm].
-        return np.asarray(self.shift_nm + self.slope_nm * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
@@ -690,9 +691,8 @@ def matched_series(
     _warn_of_bands(matching, channels[order], imager)
     misfit = matching.misfit
     if departure is not None:
-        measured = Responses(
-            channels[order] - departure.shift_at(channels[order]), width * departure.width, irradiance_shape
-        )
+        shift = shift_at(channels[order], departure.shift_nm, departure.slope_nm)
+        measured = Responses(channels[order] - shift, width * departure.width, irradiance_shape)
         misfit = misfit_through(spectrometer, measured, bands, shifts)
     return _apply(matching, np.asarray(spectra), order), misfit
 
