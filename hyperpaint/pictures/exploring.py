@@ -6,7 +6,6 @@ the widget.
 
 import contextlib
 import functools
-import hashlib
 import html
 import itertools
 import os
@@ -42,6 +41,7 @@ from hyperpaint.base import (
     schema,
 )
 from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.files.reading import digest_of_file
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
@@ -182,7 +182,7 @@ class Explored:
         self._digests: dict[str, str] = {}
         if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
             with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
-                self._digests[os.path.realpath(regions)] = _digest(as_path(regions))
+                self._digests[os.path.realpath(regions)] = digest_of_file(as_path(regions))
         line_regions, self.others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
         self.drawn = renumbered(line_regions, self._numbered, back=True)
         self._saved_digest = self._all_regions.digest
@@ -218,7 +218,7 @@ class Explored:
             code="line-is-map",
         )
         file = write_regions(self._all_regions, path, overwrite=overwrite)
-        self._digests[os.path.realpath(file)] = _digest(file)
+        self._digests[os.path.realpath(file)] = digest_of_file(file)
         self._saved_digest = self._all_regions.digest
         return file
 
@@ -227,7 +227,7 @@ class Explored:
         is_old = is_plain_file(path)
         digest = self._digests.get(os.path.realpath(path))
         StoreError.raise_if(
-            is_old and digest != _digest(path),
+            is_old and digest != digest_of_file(path),
             f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
             "so regions are not saved to it",
             mend="move it away or choose another file, and save again",
@@ -620,11 +620,6 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
         code="region-holes",
     )
     return outlines, tuple(others)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 # --- figures of the explorer in bokeh, with their data sources ---------------------------------------------

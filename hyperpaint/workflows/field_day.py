@@ -141,14 +141,13 @@ def write_signatures(
         expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
         code="flightline-missing",
     )
-    lines, flagged = {}, set()
+    # check the stored flags: computed flags would need all counts
+    flagged = {name for name, line in datasets.items() if is_flagged(line)}
+    lines = dict(datasets)
     for name, line in datasets.items():
-        # check the stored flags: computed flags would need all counts
-        if is_flagged(line):
-            flagged.add(name)
         if "counts" in line.variables:
-            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
-        lines[name] = line
+            has_noise = {"electrons_per_count", "read_noise"} <= set(line.variables)
+            lines[name] = reflectance(line, uncertainty=has_noise)
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         # Locate the lines, unless location does not apply

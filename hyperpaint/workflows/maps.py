@@ -311,5 +311,4 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
         option="pass --line",
         code="flightline-unknown",
     )
-    flightline: xr.Dataset = open_store(store, f"{LINES}{name}" if lines else "")
-    return flightline
+    return open_store(store, f"{LINES}{name}" if lines else "")

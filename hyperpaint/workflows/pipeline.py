@@ -78,7 +78,7 @@ from hyperpaint.io.envi.envi_cubes import (
     slab_offsets,
 )
 from hyperpaint.io.files.publishing import publish_file, published_folder
-from hyperpaint.io.files.reading import sampled_digest
+from hyperpaint.io.files.reading import digest_of_file, sampled_digest
 from hyperpaint.io.store import (
     INPUTS,
     RETRIES,
@@ -207,10 +207,9 @@ def kept_groups(
     if not out.exists():
         return []
     location = Location.of(out)
-    problems = Problems(f"cannot write {out}", StoreError)
-    parents = dict.fromkeys(parent for name in groups for parent in groups_above(name))
-    check_above(parents, location, problems, overwrite=overwrite)
-    problems.raise_if_any()
+    with Problems(f"cannot write {out}", StoreError) as problems:
+        parents = dict.fromkeys(parent for name in groups for parent in groups_above(name))
+        check_above(parents, location, problems, overwrite=overwrite)
     complete = []
     contents = run_contents(groups)
     manifest = Manifest.read(location, ignore_damage=overwrite)
@@ -487,17 +486,12 @@ def states_of(paths: Iterable[Path]) -> dict[str, str]:
     # The metadata of a store contain checksums of its chunks. The checksum of a missing path is empty.
     states: dict[str, str] = {}
     for path in paths:
+        only = "zarr.json" if (path / "zarr.json").is_file() else ""
         if (url := url_of(path)) is not None:
-            sums = remote_states(url, only="zarr.json" if (path / "zarr.json").is_file() else "")
-            states[path.name] = f"{_HASH}:{digest_of(sums)}" if sums else ""
-            continue
-        pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"
-        files = [path] if path.is_file() else sorted(filter(Path.is_file, path.rglob(pattern)))
-        sums = []
-        for file_path in files:
-            with open(file_path, "rb") as file:
-                digest = hashlib.file_digest(file, _HASH).hexdigest()
-            sums.append((file_path.relative_to(path).as_posix(), digest))
+            sums: Any = remote_states(url, only=only)
+        else:
+            files = [path] if path.is_file() else sorted(filter(Path.is_file, path.rglob(only or "*")))
+            sums = [(file.relative_to(path).as_posix(), digest_of_file(file, _HASH)) for file in files]
         states[path.name] = f"{_HASH}:{digest_of(sums)}" if sums else ""
     return states
 

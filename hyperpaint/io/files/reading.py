@@ -415,6 +415,12 @@ SAMPLES = 256
 SAMPLE_BYTES = 16 * 1024
 
 
+def digest_of_file(path: Path, method: str = "sha256") -> str:
+    # Return the digest of the content of a file, by the name of a method of hashlib.
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, method).hexdigest()
+
+
 def sampled_digest(path: Path) -> str:
     """Return a digest of a file's size and of blocks spread evenly over it, first and last block included.
 
