@@ -245,10 +245,9 @@ def white_reference(
     line = _with_raw_inputs(line, dark, exposure_time, bit_depth)
     whites = [_white(source, line, white_dark, white_exposure_time) for source in _sources(white)]
     limit = line["saturation_count"].astype(np.float64).values - SATURATION_MARGIN_COUNTS
-    problems = Problems("this white reference cannot be used", SchemaError)
-    for each in whites:
-        each.check(limit, line, problems)
-    problems.raise_if_any()
+    with Problems("this white reference cannot be used", SchemaError) as problems:
+        for each in whites:
+            each.check(limit, line, problems)
     certified = Panel(
         slice(None),
         slice(None),

@@ -206,20 +206,21 @@ def panel_factor(
     # directions inside the range of the surface
     azimuth = abs((relative_azimuth + 180.0) % 360.0 - 180.0)
     angles = {"sun_zenith": sun_zenith, "view_zenith": view_zenith, "relative_azimuth": azimuth}
-    problems = Problems("the factor of a panel is unknown in this direction", SchemaError)
-    for name, angle in angles.items():
-        low, high = 0.0, _LIMITS.get(name, 180.0)
-        if table is not None:
-            known = convert(table[name], "degree").values if name in table.dims else np.array([0.0, 180.0])
-            low, high = float(known.min()), float(known.max())
-        problems.add_if(
-            not low <= angle <= high,
-            f"{name} of {angle:.1f} degrees",
-            expected=f"{low:g} to {high:g} degrees",
-            mend="pass a table of factors that covers it, see hyperpaint.io.read_panel_table",
-            code="panel-direction-outside",
-        )
-    problems.raise_if_any()
+    with Problems("the factor of a panel is unknown in this direction", SchemaError) as problems:
+        for name, angle in angles.items():
+            low, high = 0.0, _LIMITS.get(name, 180.0)
+            if table is not None:
+                known = (
+                    convert(table[name], "degree").values if name in table.dims else np.array([0.0, 180.0])
+                )
+                low, high = float(known.min()), float(known.max())
+            problems.add_if(
+                not low <= angle <= high,
+                f"{name} of {angle:.1f} degrees",
+                expected=f"{low:g} to {high:g} degrees",
+                mend="pass a table of factors that covers it, see hyperpaint.io.read_panel_table",
+                code="panel-direction-outside",
+            )
     if table is not None:
         # a dimension of one value has no neighbours
         point = {name: angles[name] for name in PANEL_DIRECTIONS if table.sizes.get(name, 1) > 1}
@@ -725,16 +726,15 @@ def panel_inputs(
     # Return the inputs of panels for a plan, with their reflectance through the irradiance record.
     #
     # ``reflectance`` is `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
-    problems = Problems("the panel cannot be used", SchemaError)
-    for panel in panels:
-        for dim in (ALONG_TRACK, CROSS_TRACK):
-            problems.add_if(
-                not len(range(dataset.sizes[dim])[getattr(panel, dim)]),
-                f"{dim}={getattr(panel, dim)} is outside of this line",
-                expected=f"positions below {dataset.sizes[dim]}",
-                code="panel-outside-line",
-            )
-    problems.raise_if_any()
+    with Problems("the panel cannot be used", SchemaError) as problems:
+        for panel in panels:
+            for dim in (ALONG_TRACK, CROSS_TRACK):
+                problems.add_if(
+                    not len(range(dataset.sizes[dim])[getattr(panel, dim)]),
+                    f"{dim}={getattr(panel, dim)} is outside of this line",
+                    expected=f"positions below {dataset.sizes[dim]}",
+                    code="panel-outside-line",
+                )
     names = [name for name in _STATED if name in dataset.variables]
     return {
         "panels": [_inputs_of_panel(dataset, panel, reflectance) for panel in panels],

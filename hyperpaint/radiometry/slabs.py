@@ -21,7 +21,6 @@ from hyperpaint.base import (
     Floats,
     Ints,
     Quality,
-    SchemaError,
     Times,
     lines_a_task,
     warn_user,
@@ -247,8 +246,7 @@ def panel_result(plan: Plan, name: str) -> Array:
     # Return a result of panels by its name, ``weight`` (line, panel), or ``scale_u`` (line,).
     #
     # Results have the dtypes of the table of variables.
-    if plan.closure is None or plan.panel_u is None:
-        raise SchemaError("reflectance without panels", mend="pass panel=", code="argument-missing")
+    assert plan.closure is not None
     if name == "weight":
         array: Array = np.zeros((plan.rate.size, len(plan.closure.reasons)))
         array[:, [not reason for reason in plan.closure.reasons]] = (

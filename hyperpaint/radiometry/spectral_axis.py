@@ -297,29 +297,28 @@ def smooth(
     """
     if BAND not in dataset.dims:
         dataset = rename_to_roles(dataset)
-    problems = Problems("cannot smooth", SchemaError)
-    sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
-    bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
-    problems.add_if(
-        "reflectance" not in dataset.variables,
-        "'reflectance' is missing",
-        mend="call .paint.reflectance() first",
-        code="variable-missing",
-    )
-    one_of(method, METHODS, "method", problems=problems)
-    for is_valid, found, expected, code in (
-        (
-            window >= 3 and window % 2 == 1,
-            f"window {window}",
-            "an odd number of bands, 3 or more",
-            "value-out-of-range",
-        ),
-        (BAND in sizes, f"'reflectance' has dims {tuple(sizes)}", "a dim 'band'", "dim-missing"),
-        (window <= bands, f"window {window} is wider than the {bands} bands", "", "value-out-of-range"),
-        (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
-    ):
-        problems.add_if(not is_valid, found, expected=expected, code=code)
-    problems.raise_if_any()
+    with Problems("cannot smooth", SchemaError) as problems:
+        sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
+        bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
+        problems.add_if(
+            "reflectance" not in dataset.variables,
+            "'reflectance' is missing",
+            mend="call .paint.reflectance() first",
+            code="variable-missing",
+        )
+        one_of(method, METHODS, "method", problems=problems)
+        for is_valid, found, expected, code in (
+            (
+                window >= 3 and window % 2 == 1,
+                f"window {window}",
+                "an odd number of bands, 3 or more",
+                "value-out-of-range",
+            ),
+            (BAND in sizes, f"'reflectance' has dims {tuple(sizes)}", "a dim 'band'", "dim-missing"),
+            (window <= bands, f"window {window} is wider than the {bands} bands", "", "value-out-of-range"),
+            (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
+        ):
+            problems.add_if(not is_valid, found, expected=expected, code=code)
     array = convert(dataset["reflectance"], "1")
     is_cube = set(CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array

@@ -491,20 +491,19 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     #
     # Raises `SchemaError, UnitsError`: Variables of the noise are missing, or have other dims or units; all
     # problems are listed.
-    problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
-    problems.add_if(
-        "counts" not in dataset.variables,
-        "'counts' is missing, and radiance alone has no noise model",
-        code="variable-missing",
-    )
-    for name in NOISE:
+    with Problems("cannot compute uncertainties of reflectance", SchemaError) as problems:
         problems.add_if(
-            name not in dataset.variables,
-            f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
-            mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
+            "counts" not in dataset.variables,
+            "'counts' is missing, and radiance alone has no noise model",
             code="variable-missing",
         )
-    problems.raise_if_any()
+        for name in NOISE:
+            problems.add_if(
+                name not in dataset.variables,
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
+                mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
+                code="variable-missing",
+            )
     # a white reference replaces calibration and irradiance, a calibration the white reference
     others = OF_LIGHT if "reflectance_gain" in dataset.variables else OF_WHITE
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables and name not in others]
@@ -643,29 +642,28 @@ def band_steps(wavelength: Floats) -> Floats:
 
 
 def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
-    problems = Problems("uncertainties cannot be computed", SchemaError)
-    for name, value in uncertain.items():
-        array = np.asarray(value, np.float64)
-        values = array[~bad] if array.shape == bad.shape else array
-        values = values[~np.isnan(values)]
-        if values.size == 0:
-            problems.add(f"{name!r} contains no value", code="not-finite")
-            continue
-        is_positive, low, high = name == "electrons_per_count", values.min(), values.max()
-        is_impossible = not np.isfinite(values).all() or low < 0 or (is_positive and low == 0)
-        problems.add_if(
-            is_impossible,
-            f"{name!r} is {low:g} to {high:g}",
-            expected=f"finite and {'positive' if is_positive else '0 or more'}",
-            code="value-out-of-range",
-        )
-        problems.add_if(
-            not is_impossible and name not in _ABSOLUTE and high > 1.0,
-            f"{name!r} is {high:g}",
-            expected="a fraction of 1, such as 0.02",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    with Problems("uncertainties cannot be computed", SchemaError) as problems:
+        for name, value in uncertain.items():
+            array = np.asarray(value, np.float64)
+            values = array[~bad] if array.shape == bad.shape else array
+            values = values[~np.isnan(values)]
+            if values.size == 0:
+                problems.add(f"{name!r} contains no value", code="not-finite")
+                continue
+            is_positive, low, high = name == "electrons_per_count", values.min(), values.max()
+            is_impossible = not np.isfinite(values).all() or low < 0 or (is_positive and low == 0)
+            problems.add_if(
+                is_impossible,
+                f"{name!r} is {low:g} to {high:g}",
+                expected=f"finite and {'positive' if is_positive else '0 or more'}",
+                code="value-out-of-range",
+            )
+            problems.add_if(
+                not is_impossible and name not in _ABSOLUTE and high > 1.0,
+                f"{name!r} is {high:g}",
+                expected="a fraction of 1, such as 0.02",
+                code="value-out-of-range",
+            )
 
 
 # --- sources of errors -------------------------------------------------------------------------------------
@@ -951,21 +949,20 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     """
     mean_dims = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
     names = ("reflectance", *UNCERTAINTIES)
-    problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
-    for name in (name for name in names if name not in region.variables):
-        problems.add(
-            f"{name!r} is missing",
-            mend="add it by .paint.reflectance(uncertainty=True)",
-            code="variable-missing",
-        )
-    for dim in mean_dims:
-        problems.add_if(
-            dim not in region.dims,
-            f"the region has no dim {dim!r}",
-            expected=f"some of {', '.join(map(str, region.dims))}",
-            code="dim-missing",
-        )
-    problems.raise_if_any()
+    with Problems("a mean with its uncertainty cannot be computed", SchemaError) as problems:
+        for name in (name for name in names if name not in region.variables):
+            problems.add(
+                f"{name!r} is missing",
+                mend="add it by .paint.reflectance(uncertainty=True)",
+                code="variable-missing",
+            )
+        for dim in mean_dims:
+            problems.add_if(
+                dim not in region.dims,
+                f"the region has no dim {dim!r}",
+                expected=f"some of {', '.join(map(str, region.dims))}",
+                code="dim-missing",
+            )
     other_dims = [dim for dim in region["reflectance"].dims if dim not in mean_dims]
     cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
     shape = cubes[0].shape[: len(other_dims)]

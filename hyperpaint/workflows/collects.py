@@ -303,23 +303,22 @@ def refuse_findings(
     # Returns by group the attributes for the store: accepted findings of a line, and judgements that it
     # passed. Raises `CollectError`
     # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
-    problems = Problems(f"{opened.settings.path} is implausible, and is not processed", CollectError)
-    accepted: dict[str, dict[str, Any]] = {}
-    for group, findings in _findings(
-        opened, [name for name in lines if name in opened.members], lit=lit
-    ).items():
-        for finding in findings:
-            if finding.passes:
-                accepted.setdefault(group, {}).setdefault("passed_checks", []).append(
-                    f"{finding.found}; expected {finding.expected}"
-                )
-            elif finding.kind.name in accept:
-                accepted.setdefault(group, {}).setdefault("accepted_findings", []).append(str(finding))
-            elif finding.kind.refused:
-                problems.extend([finding.problem(acceptable=True)])
-            elif finding.line != RECORD:  # whose faults were told when it was opened
-                warn_user(str(replace(finding.problem(), code="")), finding.kind.name)
-    problems.raise_if_any()
+    with Problems(f"{opened.settings.path} is implausible, and is not processed", CollectError) as problems:
+        accepted: dict[str, dict[str, Any]] = {}
+        for group, findings in _findings(
+            opened, [name for name in lines if name in opened.members], lit=lit
+        ).items():
+            for finding in findings:
+                if finding.passes:
+                    accepted.setdefault(group, {}).setdefault("passed_checks", []).append(
+                        f"{finding.found}; expected {finding.expected}"
+                    )
+                elif finding.kind.name in accept:
+                    accepted.setdefault(group, {}).setdefault("accepted_findings", []).append(str(finding))
+                elif finding.kind.refused:
+                    problems.extend([finding.problem(acceptable=True)])
+                elif finding.line != RECORD:  # whose faults were told when it was opened
+                    warn_user(str(replace(finding.problem(), code="")), finding.kind.name)
     return accepted
 
 

@@ -490,9 +490,8 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     # sections occur twice; a material has no ID or name, or the ID of another material; a solver or property
     # has a name but no section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     data = read_limited_text(Path(path), MAX_MAT_BYTES, "a DIRSIG material list", MAX_LINES)
-    problems = Problems(f"{os.fspath(path)} is not a DIRSIG material list", FormatError)
-    top = _sections(decoded_text(data), problems)
-    problems.raise_if_any()
+    with Problems(f"{os.fspath(path)} is not a DIRSIG material list", FormatError) as problems:
+        top = _sections(decoded_text(data), problems)
     materials = []
     for entry in (section for section in top if section.name == _ENTRY):
         # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME

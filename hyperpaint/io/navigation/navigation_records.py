@@ -68,6 +68,7 @@ from hyperpaint.base import (
     conversion_factor,
     documented,
     fetch,
+    grouped,
     input_path,
     is_number,
     is_plain_file,
@@ -152,8 +153,7 @@ def gps_to_utc(gps: Ints, leap_seconds: int | None = None) -> Ints:
         "later times; check this value, and pass gps_leap_seconds",
         "leap-seconds-expired",
     )
-    utc: Ints = gps - offsets[number] * NS_PER_S
-    return utc
+    return np.asarray(gps - offsets[number] * NS_PER_S)
 
 
 def nanoseconds(seconds: Floats) -> Ints:
@@ -167,8 +167,7 @@ def unwrap_weeks(stamp: Ints) -> Ints:
     # Return nanoseconds of the GPS week that continue to increase in the next week.
     is_new_week = np.diff(stamp) < -(WEEK_S // 2) * NS_PER_S
     weeks = np.concatenate([np.zeros(1, np.int64), np.cumsum(is_new_week, dtype=np.int64)])
-    unwrapped: Ints = stamp + weeks * (WEEK_S * NS_PER_S)
-    return unwrapped
+    return np.asarray(stamp + weeks * (WEEK_S * NS_PER_S))
 
 
 def instants(texts: Sequence[str]) -> Times:
@@ -775,17 +774,17 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     expected_bytes = header.header_offset + header.lines * header.line_bytes
     found_bytes = f"{data_path.name} has {stored_bytes} bytes"
     names = ", ".join(header.band_names)[:120]
-    problems = Problems(f"{header_path} cannot be used as {_EPH_ATT.content}", FormatError)
-    for is_wrong, found, expected, mend, code in (
-        (not is_eph_att(header), f"band names are {names!r}", ", ".join(_EPH_ATT.columns), "",
-         "column-missing"),
-        (header.samples != 1, f"samples is {header.samples}", "1, as in navigation", "", "dims-wrong"),
-        (header.dtype.kind != "f", f"values are {header.dtype}", "float64 (data type 5)", "", "type-wrong"),
-        (stored_bytes != expected_bytes or stored_bytes > _EPH_ATT.max_bytes, found_bytes,
-         f"{expected_bytes}, as its header says", "copy it again", "file-size"),
-    ):  # fmt: skip
-        problems.extend([Problem(found, expected, mend, code=code)] if is_wrong else [])
-    problems.raise_if_any()
+    with Problems(f"{header_path} cannot be used as {_EPH_ATT.content}", FormatError) as problems:
+        for is_wrong, found, expected, mend, code in (
+            (not is_eph_att(header), f"band names are {names!r}", ", ".join(_EPH_ATT.columns), "",
+             "column-missing"),
+            (header.samples != 1, f"samples is {header.samples}", "1, as in navigation", "", "dims-wrong"),
+            (header.dtype.kind != "f", f"values are {header.dtype}", "float64 (data type 5)", "",
+             "type-wrong"),
+            (stored_bytes != expected_bytes or stored_bytes > _EPH_ATT.max_bytes, found_bytes,
+             f"{expected_bytes}, as its header says", "copy it again", "file-size"),
+        ):  # fmt: skip
+            problems.add_if(is_wrong, found, expected=expected, mend=mend, code=code)
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
@@ -874,7 +873,7 @@ def _week_of_name(name: str, first_stamp: int) -> int | None:
 
 
 #: Name of the variable in a column, by the name in its heading.
-_ALIASES: Mapping[str, str] = {
+_ALIASES: dict[str, str] = {
     **dict.fromkeys(("latitude", "lat"), "latitude"),
     **dict.fromkeys(("longitude", "lon", "lng", "long"), "longitude"),
     **dict.fromkeys(("altitude", "alt", "height", "ellipsoidal height", "elevation"), "altitude"),
@@ -981,10 +980,9 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         if number >= first and line.strip() and not line.lstrip().startswith("#")
     )
     table = table_of(path, [column.shown for column in header], rows)
-    problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    convention, assumed, clock_settings = _declarations(comments, problems)
-    columns = _columns(header, problems)
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be used as navigation", FormatError) as problems:
+        convention, assumed, clock_settings = _declarations(comments, problems)
+        columns = _columns(header, problems)
     is_unit_declared = "angle_unit" not in assumed
     is_radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in ANGLES]
     unit: Literal["degree", "radian"] = "radian" if all(is_radian) else "degree"
@@ -1086,11 +1084,8 @@ def _declarations(
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
-    columns_by_name: dict[str, list[_Column]] = {}
-    for column in header:
-        name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
-        if name:
-            columns_by_name.setdefault(name, []).append(column)
+    meanings = _ALIASES | dict.fromkeys(_CLOCKS, "time")
+    columns_by_name = grouped((meanings[column.key], column) for column in header if column.key in meanings)
     for name in (*POSE, "time"):
         if name not in columns_by_name:
             names = _CLOCKS if name == "time" else [key for key, value in _ALIASES.items() if value == name]
@@ -1930,7 +1925,6 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     """
     path = as_path(path)
     text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
-    problems = Problems(f"{path} cannot be used as control points", FormatError)
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
@@ -1945,24 +1939,24 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     headings = [column_heading(cell) for cell in cells]
     header = [_POINT_ALIASES.get(name, "") for name, _ in headings]
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
-    for name in _NUMBERS:
-        problems.add_if(
-            header.count(name) != 1,
-            f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
-            expected="one column",
-            code="column-missing",
-        )
-    origins = [cell for name, cell in zip(header, cells, strict=True) if name.endswith("_track")]
-    origins += [comment for comment in comments if re.search("based|count|start", comment)]
-    for text in origins:
-        problems.add_if(
-            _ONE_BASED.search(text),
-            f"the heading or comment {text.strip()[:40]!r}",
-            expected="pixels counted from 0",
-            mend="subtract 1",
-            code="pixel-origin",
-        )
-    problems.raise_if_any()
+    with Problems(f"{path} cannot be used as control points", FormatError) as problems:
+        for name in _NUMBERS:
+            problems.add_if(
+                header.count(name) != 1,
+                f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
+                expected="one column",
+                code="column-missing",
+            )
+        origins = [cell for name, cell in zip(header, cells, strict=True) if name.endswith("_track")]
+        origins += [comment for comment in comments if re.search("based|count|start", comment)]
+        for text in origins:
+            problems.add_if(
+                _ONE_BASED.search(text),
+                f"the heading or comment {text.strip()[:40]!r}",
+                expected="pixels counted from 0",
+                mend="subtract 1",
+                code="pixel-origin",
+            )
     table = table_of(path, header, [(number, _cells(line, separator)) for number, line in rows[1:]])
     # the last comment with a CRS is valid
     pairs = (comment.lstrip("# \t").partition(":") for comment in comments)

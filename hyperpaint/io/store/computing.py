@@ -66,6 +66,7 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    grouped,
     one_of,
 )
 
@@ -1053,9 +1054,7 @@ def in_stages(
         )
         for key in first_stage
     }
-    by_stage: dict[int, list[Key]] = {}
-    for key, stage in first_stage.items():
-        by_stage.setdefault(stage, []).append(key)
+    by_stage = grouped((stage, key) for key, stage in first_stage.items())
     carried: dict[Key, Any] = {}
     for stage in sorted(by_stage):
         tasks = by_stage[stage]
