@@ -39,6 +39,7 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    grouped,
     head_of,
     needs_extra,
     read_limited,
@@ -407,22 +408,22 @@ def outside(
             text = f"file://{os.path.realpath(_local_path(text))}"
         check_url(text)
         prefixes.append(text.rstrip("/") + "/")
-    refused, to_allow = [], []
-    folders_by_root: dict[str, set[str]] = {}
-    for url in dict.fromkeys(raw.url for about in groups.values() for raw in about[RAW_FILES]):
-        real = f"file://{os.path.realpath(_local_path(url))}" if url.startswith("file:") else url
-        if not any(f"{real}/".startswith(prefix) for prefix in prefixes):
-            refused.append(real)
-            parts = real.split("/", 3)
-            folders_by_root.setdefault("/".join(parts[:3]), set()).add(
-                posixpath.dirname("/".join(["", *parts[3:]]))
-            )
+    real_urls = [
+        f"file://{os.path.realpath(_local_path(url))}" if url.startswith("file:") else url
+        for url in dict.fromkeys(raw.url for about in groups.values() for raw in about[RAW_FILES])
+    ]
+    refused = [url for url in real_urls if not f"{url}/".startswith(tuple(prefixes))]
+    places = (url.split("/", 3) for url in refused)
+    folders_by_root = grouped(
+        ("/".join(parts[:3]), posixpath.dirname("/".join(["", *parts[3:]]))) for parts in places
+    )
+    to_allow: list[str] = []
     for root, folders in folders_by_root.items():
         common = posixpath.commonpath(folders)
         if root != "file://":
             to_allow.append(f"{root}{common}".rstrip("/"))
         else:  # the common folder, unless it is the root of the file system
-            to_allow += sorted(folders) if common == "/" else [common]
+            to_allow += sorted(set(folders)) if common == "/" else [common]
     return refused, to_allow
 
 
