@@ -253,7 +253,7 @@ def panel_result(plan: Plan, name: str) -> Array:
             1.0 if plan.panel_weights is None else plan.panel_weights
         )
     else:
-        names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
+        names: dict[str, Any] = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
         array = names[name] if name in names else getattr(plan.closure, name)
     return array.astype(np.float32) if array.dtype == np.float64 else array
 
