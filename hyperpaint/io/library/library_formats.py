@@ -11,7 +11,6 @@ import csv
 import itertools
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -842,14 +841,7 @@ def write_library(
     elif chosen == "csv" and not suffix and not path.is_dir():
         path = path.with_suffix(".csv")
     library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
-    repeated = [str(name) for name, count in Counter(library[SIGNATURE].values.tolist()).items() if count > 1]
-    SchemaError.raise_if(
-        repeated,
-        f"names of paints occur more than once: {', '.join(map(repr, repeated[:5]))}",
-        expected="a unique name for every paint",
-        mend="name the paints anew by assign_coords(signature=[...])",
-        code="paint-duplicate",
-    )
+    library = _with_distinct_names(library, str(path))
     if library[CENTRE].chunks is None:
         warn_of_scale(library[CENTRE].transpose(SIGNATURE, BAND).values, "the reflectance of the library")
     if curves == "centre" or (curves is None and chosen != "zarr"):

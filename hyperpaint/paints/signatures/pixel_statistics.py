@@ -289,9 +289,7 @@ def gather(
     # results are deleted once copied: they would otherwise be in memory twice
     for start in range(0, max(len(tasks), 1), BLOCKS_AT_ONCE):
         batch = tasks[start : start + BLOCKS_AT_ONCE]
-        batch_progress = progress and (
-            lambda count, _, start=start: progress(min(start + count, len(tasks)), len(tasks))
-        )
+        batch_progress = None if progress is None else _offset(progress, start, len(tasks))
         results = _computed([*batch, *([] if start else lazy.values())], batch_progress)
         for pixels, arrays in zip(block_pixels[start : start + BLOCKS_AT_ONCE], results, strict=False):
             for output, array in zip(outputs, arrays, strict=True):
@@ -301,6 +299,11 @@ def gather(
         del results
         trim_memory()
     return spectra, values
+
+
+def _offset(progress: Progress, finished: int, tasks: int) -> Progress:
+    # Progress over all tasks, from the progress over a batch after `finished` tasks
+    return lambda count, _: progress(min(finished + count, tasks), tasks)
 
 
 def _selected(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
