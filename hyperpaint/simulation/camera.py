@@ -630,6 +630,17 @@ def point_spread(fwhm: float) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
+def keystone(bands: int, columns: float) -> Floats:
+    """Return the displacement of the image of every band to the right, shape (band,) [columns].
+
+    Examples
+    --------
+    >>> keystone(5, 0.4)
+    array([-0.4, -0.2,  0. ,  0.2,  0.4])
+    """
+    return np.asarray(columns * np.linspace(-1.0, 1.0, bands))
+
+
 def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     """Return stray counts of a band per count of a source band, shape (band, source_band).
 
@@ -675,7 +686,7 @@ class Optics:
     """
 
     def __init__(self, settings: OpticsSettings, wavelength: Floats) -> None:
-        self.keystone = settings.keystone_columns * np.linspace(-1.0, 1.0, len(wavelength))
+        self.keystone = keystone(len(wavelength), settings.keystone_columns)
         self.stray_matrix = stray_light_wings(wavelength, settings.stray_light)
         self.has_stray_light = settings.stray_light > 0
         if settings.psf_kernel is None:

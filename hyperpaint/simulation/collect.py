@@ -27,6 +27,7 @@ import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
@@ -302,27 +303,45 @@ class Sweep:
             np.put_along_axis(
                 self._to_columns, lower[:, None] + np.arange(-1, 3), cubic_weights(place - lower), axis=1
             )
+
+    @cached_property
+    def wavelength(self) -> Floats:
+        # true centre wavelength of every step, shape (step,) [nm]
+        settings = self.settings
         rng = np.random.default_rng([settings.camera.seed, _DIAL])
         jitter = settings.monochromator_jitter_nm * rng.standard_normal(settings.steps)
-        #: True centre wavelength of every step, shape (step,) [nm]
-        self.wavelength = settings.dial + settings.monochromator_offset_nm + jitter
-        # a halogen lamp with a blazed grating
+        return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
+
+    @cached_property
+    def beam(self) -> Floats:
+        # power of the beam in a column relative to the brightest column, shape (step, cross_track)
+        settings, columns = self.settings, self.settings.camera.columns
+        if settings.beam_fwhm_columns is None:
+            return np.ones((settings.steps, columns))
+        centre = columns // 2 + settings.beam_wander_columns * np.sin(
+            np.linspace(0.0, 2 * np.pi, settings.steps)
+        )
+        offset = (np.arange(columns) - centre[:, None]) / settings.beam_fwhm_columns
+        return np.asarray(np.exp(-4.0 * np.log(2.0) * offset**2))
+
+    @cached_property
+    def power(self) -> Floats:
+        # power of the beam at every step, shape (step,) [W]: a halogen lamp with a blazed grating
         lamp = 0.25 + 0.75 * np.exp(-0.5 * ((self.wavelength - 660.0) / 170.0) ** 2)
-        #: Power of the beam at every step, shape (step,) [W]
-        self.power = settings.beam_power_w * lamp
+        return self.settings.beam_power_w * lamp
+
+    @cached_property
+    def recorded_flux(self) -> Floats:
+        # reading of the power meter, shape (step,) or (step, cross_track) [W]
+        settings = self.settings
         rng = np.random.default_rng([settings.camera.seed, _POWER_METER])
         error = settings.flux_noise * rng.standard_normal(settings.steps)
-        #: Reading of the power meter, shape (step,) or (step, cross_track) [W]
-        self.recorded_flux = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
-        #: Power of the beam in a column relative to the brightest column, shape (step, cross_track)
-        self.beam = np.ones((settings.steps, settings.camera.columns))
-        if settings.beam_fwhm_columns is not None:
-            turns = np.linspace(0.0, 2 * np.pi, settings.steps)
-            centre = settings.camera.columns // 2 + settings.beam_wander_columns * np.sin(turns)
-            offset = (np.arange(settings.camera.columns) - centre[:, None]) / settings.beam_fwhm_columns
-            self.beam = np.exp(-4.0 * np.log(2.0) * offset**2)
-            if settings.beam_recorded:
-                self.recorded_flux = self.recorded_flux[:, None] * self.beam
+        reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
+        return (
+            np.asarray(reading)
+            if settings.beam_fwhm_columns is None or not settings.beam_recorded
+            else np.asarray(reading[:, None] * self.beam)
+        )
 
     def _order_integrals(self, step: int, order: int) -> Floats:
         # integrals of a diffraction order, whose light appears at ``order`` x its wavelength
@@ -836,14 +855,14 @@ def write_sweep(
             is_earlier = attributes.get("name") == SWEEP_NAME or f"{TRUTH}srf_shape" in attributes
         except (FormatError, ValueError, KeyError, TypeError, AttributeError):
             is_earlier = False
-        mend = "choose another path, or replace an earlier sweep with {}"
-        StoreError.raise_if(
-            not (overwrite and is_earlier),
-            f"{target} exists",
-            mend=mend.format("overwrite=True"),
-            option=mend.format("--overwrite"),
-            code="store-exists",
-        )
+        if not (overwrite and is_earlier):
+            mend = "choose another path, or replace an earlier sweep with {}"
+            raise StoreError(
+                f"{target} exists",
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="store-exists",
+            )
         shutil.rmtree(target)
     store_sweep(Sweep(SweepSettings.of(values)), path, truth=truth, progress=progress)
     return path
@@ -1167,14 +1186,14 @@ def simulate_collect(
         code="folder-is-file",
     )
     if root.is_dir() and any(root.iterdir()):
-        mend = "choose another folder, or replace an earlier collect with {}"
-        StoreError.raise_if(
-            not overwrite,
-            f"{root} is not empty",
-            mend=mend.format("overwrite=True"),
-            option=mend.format("--overwrite"),
-            code="folder-not-empty",
-        )
+        if not overwrite:
+            mend = "choose another folder, or replace an earlier collect with {}"
+            raise StoreError(
+                f"{root} is not empty",
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="folder-not-empty",
+            )
         # files of a collect that no simulation wrote are not replaced
         entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
         StoreError.raise_if(
@@ -1191,7 +1210,7 @@ def simulate_collect(
                 shutil.rmtree(part_path)
             else:
                 part_path.unlink(missing_ok=True)
-    for name in ("flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER):
+    for name in ("flight", "dark", "asd"):
         (root / name).mkdir(parents=True)
     # mark the folder as simulated, also if this run is interrupted
     (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
@@ -1214,6 +1233,8 @@ def simulate_collect(
         )
     # a file of both spectrometers for every paint of the cars in view, named after the paint
     svc, asd = root / SVC_FOLDER, root / ASD_FOLDER
+    for directory in (svc, asd):
+        directory.mkdir()
     nm = svc_wavelengths()
     grid = spectral_grid(nm.min() - _FINE_AXIS.margin_nm, nm.max() + _FINE_AXIS.margin_nm, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi

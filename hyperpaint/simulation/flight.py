@@ -171,22 +171,6 @@ class Flight(abc.ABC):
         self.incident = incident[:2]
         #: INT R of every element, shape (band, cross_track) [count nm J-1]
         self.response_area = incident[2]
-        #: UTC at mid-exposure of the first line [ns since 1970]
-        self.start = int(settings.start.astype(np.int64))
-        period_ns = settings.frame_period_ms * 1e6
-        #: Mid-exposure of every line, shape (along_track,) [ns after the first line]
-        self.line_times = np.rint(np.arange(settings.lines) * period_ns).astype(np.int64)
-        #: Side of a pixel on the ground [m]
-        self.ground_sample = settings.swath / settings.columns
-        column = np.arange(settings.columns) - 0.5 * (settings.columns - 1)
-        #: Look angle of every column, positive to the right, shape (column,) [degree]
-        self.look_angle = np.degrees(np.arctan(column * PIXEL_ANGLE_RAD))
-        #: Axes of the scene: x east, y north, z up, from `ORIGIN`
-        self.frame = LocalFrame(*ORIGIN)
-        #: Map projection of the positions in the truth
-        self.plane = TransverseMercator.of(*ORIGIN[:2])
-        speed = self.ground_sample / (settings.frame_period_ms / 1e3)
-        self.trajectory = Trajectory.of(settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE_RAD)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         # reflectance of paints, shape (name, wavelength)
@@ -214,6 +198,31 @@ class Flight(abc.ABC):
         paint = np.array([numbers.get(name, -1) for name in self.surfaces], np.int32)
         return np.where(lines.glint | self.camera.bad.all(axis=0), -1, paint[lines.surface]).astype(np.int32)
 
+    def _rng(self, stream: int, *key: int) -> np.random.Generator:
+        return np.random.default_rng([self.settings.seed, stream, *key])
+
+    @property
+    def ground_sample(self) -> float:
+        # side of a pixel on the ground [m]
+        return self.settings.swath / self.settings.columns
+
+    @property
+    def look_angle(self) -> Floats:
+        # look angle of every column, positive to the right, shape (column,) [degree]
+        column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
+        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE_RAD)))
+
+    @cached_property
+    def start(self) -> int:
+        # UTC at mid-exposure of the first line [ns since 1970]
+        return int(self.settings.start.astype(np.int64))
+
+    @cached_property
+    def line_times(self) -> NDArray[np.int64]:
+        # mid-exposure of every line, shape (along_track,) [ns after the first line]
+        period = self.settings.frame_period_ms * 1e6
+        return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
+
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         # Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
         #
@@ -240,7 +249,7 @@ class Flight(abc.ABC):
             light *= 1.0 / np.pi
             signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
             signal[bad] = 0.0
-            rng = np.random.default_rng([settings.seed, _NOISE, first_line + row]) if settings.noise else None
+            rng = self._rng(_NOISE, first_line + row) if settings.noise else None
             counts = self.detector.read(signal, rng)
             if settings.pedestal:
                 counts += settings.pedestal
@@ -294,8 +303,7 @@ class Flight(abc.ABC):
         # dark cube, shape (along_track, band, cross_track)
         dark = np.empty((self.settings.dark_frames, *self.detector.dark.shape), dtype=np.uint16)
         for frame in range(len(dark)):
-            seed = [self.settings.seed, _DARK_FRAMES, frame]
-            rng = np.random.default_rng(seed) if self.settings.dark_noise else None
+            rng = self._rng(_DARK_FRAMES, frame) if self.settings.dark_noise else None
             dark[frame] = self.detector.convert(self.detector.read(np.zeros_like(self.detector.dark), rng))
         return dark
 
@@ -320,10 +328,24 @@ class Flight(abc.ABC):
         irradiance = factors.T @ spectra
         if settings.irradiance_noise:
             for index, seconds in enumerate(stamp.tolist()):
-                rng = np.random.default_rng([settings.seed, _SKY, seconds])
-                noise = rng.standard_normal(irradiance.shape[1])
+                noise = self._rng(_SKY, seconds).standard_normal(irradiance.shape[1])
                 irradiance[index] *= 1.0 + settings.irradiance_noise * noise
         return SkySamples(stamp, middle, factors, irradiance)
+
+    @cached_property
+    def frame(self) -> LocalFrame:
+        # axes of the scene: x east, y north, z up, from `ORIGIN`
+        return LocalFrame(*ORIGIN)
+
+    @cached_property
+    def plane(self) -> TransverseMercator:
+        # map projection of the positions in the truth
+        return TransverseMercator.of(*ORIGIN[:2])
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
+        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE_RAD)
 
 
 _BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
@@ -423,34 +445,39 @@ class PlanFlight(Flight):
         )
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
-        number, settings, columns = stop - start, self.settings, self.settings.columns
-        surface = surface_classes(start, stop, columns, settings.seed)
+        number = stop - start
+        surface = surface_classes(start, stop, self.settings.columns, self.settings.seed)
         # reflectance factor of the sun mirrored in clear coats, zero for most pixels
         mirrored = np.zeros(surface.shape)
         for row in range(number):
-            rng = np.random.default_rng([settings.seed, _GLINT, start + row])
-            chance, strength = rng.random(columns), rng.uniform(2.0, 12.0, columns)
-            mirrored[row] = np.where((chance < settings.glint) & _CAR[surface[row]], strength, 0.0)
+            rng = self._rng(_GLINT, start + row)
+            chance, strength = rng.random(surface.shape[1]), rng.uniform(2.0, 12.0, surface.shape[1])
+            mirrored[row] = np.where((chance < self.settings.glint) & _CAR[surface[row]], strength, 0.0)
         factors = self._factors(start, stop)
 
         def element_radiance(row: int) -> Floats:
-            # pi INT L R of every element, shape (band, cross_track)
-            direct, diffuse = factors[:, row]
-            index = surface[row].astype(np.intp) * columns + np.arange(columns)
-            radiance = self._reflected[0].take(index, axis=1, mode="clip")
-            radiance *= direct
-            diffuse_radiance = self._reflected[1].take(index, axis=1, mode="clip")
-            diffuse_radiance *= diffuse
-            radiance += diffuse_radiance
-            if settings.texture:
-                rng = np.random.default_rng([settings.seed, _TEXTURE, start + row])
-                normal = np.clip(rng.standard_normal(columns), -3.0, 3.0)
-                radiance *= np.where(_TEXTURED[surface[row]], 1.0 + settings.texture * normal, 1.0)
-            if mirrored[row].any():
-                radiance += mirrored[row] * direct * self.incident[0]
-            return np.asarray(radiance)
+            return self._element_radiance(start + row, surface[row], factors[:, row], mirrored[row])
 
         return Lines(surface, mirrored > 0, *self._cubes(number, into)), element_radiance
+
+    def _element_radiance(
+        self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats
+    ) -> Floats:
+        # pi INT L R of every element, shape (band, cross_track)
+        direct, diffuse = factors
+        columns = self.settings.columns
+        index = surface.astype(np.intp) * columns + np.arange(columns)
+        radiance = self._reflected[0].take(index, axis=1, mode="clip")
+        radiance *= direct
+        diffuse_radiance = self._reflected[1].take(index, axis=1, mode="clip")
+        diffuse_radiance *= diffuse
+        radiance += diffuse_radiance
+        if self.settings.texture:
+            normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
+            radiance *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
+        if mirrored.any():
+            radiance += mirrored * direct * self.incident[0]
+        return np.asarray(radiance)
 
 
 _SQUARES = ("panel_05", "panel_50")
@@ -552,12 +579,6 @@ class CheckerboardFlight(Flight):
             **{name: Layer("float64", {"long_name": text, "units": "m"}) for name, text in metres.items()},
         }
         self._reflected = self._reflected_light(_SQUARES)
-        # tangents of the look angles of columns, positive to the right
-        self._tangents = np.tan(np.radians(self.look_angle))
-        # position and rotation of the camera at start, middle and end of every exposure
-        self._cameras = self.trajectory.camera(
-            self.line_times[:, None] / 1e9 + (settings.exposure_time / 2) * np.array([-1.0, 0.0, 1.0])
-        )
 
     @cached_property
     def corners(self) -> dict[str, Floats]:
@@ -601,6 +622,18 @@ class CheckerboardFlight(Flight):
         # paint of pixels within a square, -1 for all others
         shares = lines.layers["bright_share"]
         return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
+
+    @property
+    def _tangents(self) -> Floats:
+        # tangents of the look angles of columns, positive to the right
+        return np.tan(np.radians(self.look_angle))
+
+    @cached_property
+    def _cameras(self) -> tuple[Floats, Floats]:
+        # position and rotation of the camera at start, middle and end of every exposure
+        return self.trajectory.camera(
+            self.line_times[:, None] / 1e9 + (self.settings.exposure_time / 2) * np.array([-1.0, 0.0, 1.0])
+        )
 
     def _pixel_truth(self, start: int, stop: int) -> dict[str, Floats]:
         origin, rotation = (pose[start:stop] for pose in self._cameras)
@@ -758,10 +791,6 @@ class RenderedFlight(Flight):
         }
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
-        # camera poses at start and end of every exposure
-        poses = path.camera(self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5]))
-        edges = pixel_edges(settings.columns, PIXEL_ANGLE_RAD)
-        self.platform = Platform(*poses, *edges, self.line_times, settings.exposure_time)
         bands = BandSet.of(self.imager)
         # light without path radiance and with unit transmittance
         direct, diffuse = self.sky
@@ -828,6 +857,14 @@ class RenderedFlight(Flight):
             (paint >= 0) & (car >= 0) & (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
         )
         return np.where(is_clean, paint + len(self.paints) * car, -1).astype(np.int32)
+
+    @cached_property
+    def platform(self) -> Platform:
+        # camera poses at start and end of every exposure
+        settings = self.settings
+        moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
+        edges = pixel_edges(settings.columns, PIXEL_ANGLE_RAD)
+        return Platform(*self.trajectory.camera(moment), *edges, self.line_times, settings.exposure_time)
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
         platform = self.platform

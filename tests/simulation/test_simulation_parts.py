@@ -28,6 +28,7 @@ from hyperpaint.simulation.camera import (
     OpticsSettings,
     convolve_gaussian,
     expected_counts,
+    keystone,
     line_shape,
     point_spread,
     smile,
@@ -373,6 +374,7 @@ def test_keystone_moves_the_centre_of_mass(shift: float) -> None:
     moved = (seen @ column / seen.sum(axis=2) - scene @ column / scene.sum(axis=2))[0]
     np.testing.assert_allclose(moved, shift * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), atol=1e-6)
     np.testing.assert_allclose(seen.sum(axis=2), scene.sum(axis=2), rtol=1e-12)
+    np.testing.assert_array_equal(keystone(5, shift), optics.keystone)
 
 
 def test_stray_light_adds_its_share_of_every_band() -> None:

@@ -807,12 +807,8 @@ def note_car_park_faults(
     before = len(problems)
     check_values(CAR_PARK, values, problems, spelled)
     for name in ("paints", "types"):
-        problems.add_if(
-            values[name] is not None and not values[name],
-            spelled(name, values[name]),
-            expected="at least one name",
-            code="empty-input",
-        )
+        if values[name] is not None and not values[name]:
+            problems.add(spelled(name, values[name]), expected="at least one name", code="empty-input")
     if len(problems) > before:
         return
     rows = values["rows"] or 1

@@ -462,10 +462,13 @@ def by_name(spectra: Any) -> dict[str, Any]:
         return dict(_paints_by_name(spectra))
     by_key: dict[str, Any] = {}
     for name, value in spectra.items():
-        paints = _paints_by_name(value) if is_library(value) else {"": value}
+        if not is_library(value):
+            by_key[str(name)] = value
+            continue
+        paints = _paints_by_name(value)
+        is_single = len(paints) == 1
         by_key |= {
-            str(name) if len(paints) == 1 else f"{name}/{paint}": spectrum
-            for paint, spectrum in paints.items()
+            str(name) if is_single else f"{name}/{paint}": spectrum for paint, spectrum in paints.items()
         }
     return by_key
 
@@ -1155,12 +1158,10 @@ def relight(
     placed = traced.assign(incidence=incidence)
     rows = {"sun_zenith": settings.suns[sun][0], "seed": settings.seed}
     cubes = _lazy_cubes(placed, light, camera, variation, populations, rows, truth=truth)
-    bases = {
-        factor.material: name
-        for factor, name in zip(record.factors, painted.names, strict=True)
-        if not (factor.flakes or factor.through)
-    }
-    names = [bases.get(number, "") for number in range(len(record.materials))]
+    names = [""] * len(record.materials)  # spectra of the bases
+    for factor, name in zip(record.factors, painted.names, strict=True):
+        if not (factor.flakes or factor.through):
+            names[factor.material] = name
     line = _dataset(cubes, traced, camera, record.labels(names)["paint_id"])
     if truth and "sun_visibility" in traced.variables:
         line["shadow"] = label(
@@ -1320,7 +1321,9 @@ def _dataset(
     line = xr.Dataset(variables, {n: (*value, VARIABLES[n].attrs) for n, value in coords.items()})
     if "time" in traced.variables:
         line = line.assign_coords(time=traced["time"].variable)
-    line = line.assign({name: traced[name].variable for name in _UNLIT_LAYERS if name in traced.variables})
+    for name in _UNLIT_LAYERS:
+        if name in traced.variables:
+            line[name] = traced[name].variable
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
             paints.table.__getitem__,
@@ -1353,15 +1356,15 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
     )
     nearest = int(angles.argmin())
     has_clear_sky = bool((atmosphere.sky * atmosphere.clear_shares).any())
-    traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
-    SchemaError.raise_if(
-        angles[nearest] > _RECORD.max_sun_angle_deg and (atmosphere.sun.any() or has_clear_sky),
-        f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
-        f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
-        expected=f"a traced sun: {traced_directions}",
-        mend="trace the scene with this sun as well",
-        code="sun-not-traced",
-    )
+    if angles[nearest] > _RECORD.max_sun_angle_deg and (atmosphere.sun.any() or has_clear_sky):
+        traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
+        raise SchemaError(
+            f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
+            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
+            expected=f"a traced sun: {traced_directions}",
+            mend="trace the scene with this sun as well",
+            code="sun-not-traced",
+        )
     SchemaError.raise_if(
         atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast,
         f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "

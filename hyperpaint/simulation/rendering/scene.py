@@ -27,7 +27,6 @@ from hyperpaint.base import (
     check_fields,
     declared,
     fact,
-    grouped,
     one_of,
     warn_if,
 )
@@ -893,9 +892,10 @@ class SceneRecord:
     def of(cls, scene: Scene) -> SceneRecord:
         count = len(scene.materials)
         pairs = np.unique(scene.face_instance.astype(np.int64) * count + scene.face_material)
-        materials_of = grouped(divmod(pair, count) for pair in pairs.tolist())
-        members = tuple(tuple(materials_of.get(number, ())) for number in range(len(scene.instances)))
-        return cls(scene.name, scene.materials, scene.instances, members, scene.factors)
+        members: list[list[int]] = [[] for _ in scene.instances]
+        for pair in pairs.tolist():
+            members[pair // count].append(pair % count)
+        return cls(scene.name, scene.materials, scene.instances, tuple(map(tuple, members)), scene.factors)
 
     def to_attrs(self, settings: TraceSettings) -> dict[str, Any]:
         instances = [
