@@ -94,13 +94,6 @@ LOBES = SimpleNamespace(
     growths=5,
     # Minimum brightness of such an end, relative to the broad lobe [1]: a lean to the sun adds less.
     beyond_lean=1.3,
-    # Maximum distance from a core on a grey body up to which its lobe is searched [pixel].
-    max_skirt_px=60.0,
-    min_skirt_px=50,  # Minimum number of pixels of this body around the core.
-    # Maximum brightness of half of them, relative to the darkest quarter [1]: flakes are less even.
-    max_unevenness=1.13,
-    # Minimum brightness of the lobe there, relative to the body [1]: unevenness of paint adds less.
-    beyond_even=1.05,
     around_px=4,  # Width of the surroundings beyond the lobe for the fit of the broad lobe [pixel].
     min_ring_px=9,  # Minimum number of pixels of the surroundings.
     min_ring_share=0.5,  # Minimum share of the surroundings that belongs to one body [1].

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects, label
+from scipy.ndimage import distance_transform_edt, find_objects, label
 
 from hyperpaint.base import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.kernels import arguments, segmentation as kernels
@@ -21,7 +21,7 @@ from hyperpaint.kernels.segmentation import (
 )
 from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
-from .detection_rules import BODIES, GLINT, LOBES, MIRROR, MIXTURES, SEGMENTS
+from .detection_rules import GLINT, LOBES, MIRROR, MIXTURES, SEGMENTS
 from .model import CELL, GLINTED, LIT, SHADED
 from .scratch import gather, line_blocks, release, scratch_array, trim_memory
 
@@ -638,8 +638,6 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     for cores, lobes, beyond_lit in ((is_sharp, lobe, False), (is_mirrored & on_coat, surely, True)):
         for core, window in _components(cores):
             _add_sharp(picture, level, core, window, lobes, is_mirrored=beyond_lit)
-            if beyond_lit:
-                _add_skirt(picture, level, core, window, lobes)
             release(picture.channels)
             release(level)
     # wide cores: the mirrored sun is as bright as a white surface (line, column)
@@ -766,38 +764,6 @@ def _add_sharp(
         if (core == before).all():
             break
     lobe[larger] |= lobe_here
-
-
-def _add_skirt(
-    picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
-) -> None:
-    # Set the pixels of `lobe` around a core brighter than lit surfaces, on grey and white bodies: connected
-    # pixels brighter than most of the body. Most of it must be evenly bright, as flakes are not: a wide lobe
-    # cannot be told from theirs. Dark bodies are uneven by the sky that they mirror.
-    half_width = _half_width(core)
-    size = half_width if half_width < LOBES.min_wide_px else 0.5 * max(core.shape)
-    reach = min(1.5 + LOBES.wide_halo * size, LOBES.max_skirt_px)
-    larger = padded(window, int(np.ceil(reach)))
-    brightness, body = level[larger], picture.body(larger)
-    core = _in_larger_window(core, window, larger, brightness.shape)
-    distance = _distance(core)
-    near = ~np.append(picture.ground, True)[body] & np.isfinite(brightness) & (distance <= reach)
-    # away from edges
-    inner = binary_erosion(near, np.ones((5, 5))) & (distance > 2.0)
-    if not inner.any():
-        return
-    surface_body = int(np.bincount(body[inner]).argmax())
-    on_body = body == surface_body
-    inner &= on_body
-    if _distinguishable(picture)[surface_body] or inner.sum() < LOBES.min_skirt_px:
-        return
-    quarter, usual = np.quantile(brightness[inner], (0.25, 0.5))
-    if not BODIES.bright < usual < LOBES.max_unevenness * quarter:
-        return
-    # segments of the lobe itself are their own bodies
-    skirt = near & (brightness > np.where(on_body, LOBES.beyond_even, LOBES.beyond_lean) * usual)
-    pieces, _ = label(skirt | core, np.ones((3, 3)))
-    lobe[larger] |= np.isin(pieces, pieces[core])
 
 
 def _stands_out(brightness: Floats, on_body: Bools, distance: Floats) -> Bools:

@@ -139,7 +139,7 @@ def streak(core: int, peak: float, excess: float, length: int = 90) -> Floats:
 def test_streak__is_followed_from_its_core(
     core: int, peak: float, excess: float, fewest: int, most: int
 ) -> None:
-    lobes = lobes_of(0.09 * streak(core, peak, excess), 0.09)  # bodies above 0.1 have a wider lobe
+    lobes = lobes_of(0.1 * streak(core, peak, excess), 0.1)
     assert fewest <= (lobes[30, 30:] > 0).sum() <= most
 
 
@@ -165,7 +165,7 @@ def test_streak__is_brighter_than_its_body_within_three_pixels(apart: int, is_lo
     brightness = streak(1, 40.0, 0.2)
     brightness[30 + apart] = brightness[30 - apart] = brightness[30]
     brightness[[30 - apart, 30 + apart], :30] = 1.0
-    assert (lobes_of(0.09 * brightness, 0.09)[30, 31] == BRIGHT_IN_LOBE) == is_lobe
+    assert (lobes_of(0.1 * brightness, 0.1)[30, 31] == BRIGHT_IN_LOBE) == is_lobe
 
 
 @pytest.mark.parametrize(
@@ -231,25 +231,6 @@ def test_wide_lobe__is_followed_around_its_core(
     lobes = lobes_of(paint + np.maximum(glint, added), paint, is_coloured=is_coloured)
     reach = (lobes[20, 180:] > 0).sum()
     assert fewest <= reach <= most
-
-
-@pytest.mark.parametrize(
-    ("paint", "excess", "darker", "is_lobe"),
-    [
-        (0.5, 1.06, 1.0, True),
-        (0.5, 1.04, 1.0, False),  # paint is not more even
-        (0.5, 1.5, 0.9, True),
-        (0.5, 1.5, 0.8, False),  # flakes
-        (0.09, 1.5, 1.0, False),  # dark bodies mirror an uneven sky
-    ],
-)
-def test_wide_lobe__is_followed_on_grey_bodies_that_are_even(
-    paint: float, excess: float, darker: float, is_lobe: bool
-) -> None:
-    brightness = np.where(disc(16.0), excess, 1.0)
-    brightness[:, :30] *= darker
-    lobes = lobes_of(np.where(disc(3.0), 5.0, paint * brightness), paint)
-    assert bool(lobes[40, 54]) == is_lobe
 
 
 @pytest.mark.parametrize(("radius", "is_lobe"), [(3.0, True), (5.5, False)])
