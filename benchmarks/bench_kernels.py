@@ -162,6 +162,8 @@ class MatchIrradiance:
     param_names = ("spectra",)
 
     def setup(self, spectra):
+        from hyperpaint.base.responsivity import log_slope
+
         self.samples = np.arange(350.0, 2501.0)
         drift = 1.0 + 0.1 * np.sin(np.arange(spectra) * FRAME_PERIOD)
         self.series = (drift[:, None] * sky(self.samples)).astype(np.float32)
@@ -172,7 +174,7 @@ class MatchIrradiance:
             "srf_shape": "gaussian",
             "srf_offset": None,
             "srf": None,
-            "responsivity": 1.0 / instrument()["gain"].mean(axis=1),
+            "slope": log_slope(self.bands, 1.0 / instrument()["gain"].mean(axis=1), np.full(BANDS, 12.0)),
         }
         inside = slice(*np.searchsorted(self.samples, [380.0, 1021.0]))
         self.window = self.series[:, inside].astype(np.float64)

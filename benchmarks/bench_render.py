@@ -91,8 +91,7 @@ class Block:
         self._relight(self.bent)
 
     def _relight(self, light):
-        surface = light.surface_radiance(self.block.weight, self.block.code, None)
-        light.at_sensor(surface, self.block.distance, in_place=True)
+        light.radiance(self.block.weight, self.block.code, None, distance=self.block.distance)
 
     def time_shares(self, samples):
         self.light.shares(self.block.weight, self.block.code, None)
