@@ -755,9 +755,12 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     shift_costs = _likelihood_costs([*(shift for _, shift, _ in explained), shift_at_rest], compared)
     costs = shift_costs[:-1] + _likelihood_costs([unlikeness for *_, unlikeness in explained], compared)
     costs += RULES.log_odds_against * np.array([_differences(h, declared) for h, *_ in explained])
+    # where poses are missing, such as with an offset clock, a cost may be NaN
+    lowest = costs[np.isfinite(costs)].min(initial=np.inf)
     scored = [
-        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - shift_cost))
+        Scored(h, float(lowest - cost), float(shift_costs[-1] - shift_cost))
         for (h, *_), cost, shift_cost in zip(explained, costs, shift_costs, strict=False)
+        if np.isfinite(cost)
     ]
     return sorted(scored, key=lambda hypothesis: -hypothesis.odds), compared
 
@@ -815,7 +818,7 @@ def _findings(setting: Setting) -> list[Finding]:
         distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
         setting = at_height(declared, max(distance / float(np.abs(setting.view.step).mean()), 1.0))
     scored, compared = _scores(setting)
-    if not scored or scored[0].over_rest < RULES.log_odds:
+    if not scored or not scored[0].over_rest >= RULES.log_odds:
         evidence = (
             "the picture does not follow the attitude: no wobble, low contrast, a large clock offset, or a "
             "boresight of some degrees that was not passed"
@@ -861,9 +864,11 @@ def _findings(setting: Setting) -> list[Finding]:
         and max(height / recorded_height, recorded_height / height) > RULES.height_ratio
     )
     if is_height_off:
-        setting = at_height(best, height)
-        scored, compared = _scores(setting)
-        best = _nearest(scored, declared)
+        # from that height no convention may see the ground
+        adjusted = at_height(best, height)
+        if (at_that_height := _scores(adjusted))[0]:
+            setting, (scored, compared) = adjusted, at_that_height
+            best = _nearest(scored, declared)
     other = "geoid" if convention.height_reference == "ellipsoid" else "ellipsoid"
     if abs(height - recorded_height) > RULES.undulation_m:
         other = "another ground= or unit of heights"

@@ -12,6 +12,7 @@ from support.wobbly_flights import START, Flight
 from support.wrong_declarations import DECLARED, Made, cases, flown, right
 
 import hyperpaint as hp
+from hyperpaint.base.attitude_conventions import NAVIGATION_TIME
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.geometry.navigation_checking import (
     ClockOffset,
@@ -21,7 +22,7 @@ from hyperpaint.geometry.navigation_checking import (
     navigation_findings,
     row_motion,
 )
-from hyperpaint.simulation import simulate_collect
+from hyperpaint.simulation import simulate_collect, simulate_line
 from hyperpaint.workflows.collects import check_collect
 
 pytest.importorskip("pyproj")
@@ -86,6 +87,15 @@ def test_a_calm_platform_and_a_picture_of_noise_tell_nothing() -> None:
     flight, line, nav = flight_of(5)
     noise = np.random.default_rng(0).integers(900, 1100, line.counts.shape).astype(np.uint16)
     assert check(flight, (line.assign(counts=line.counts.copy(data=noise)), nav, DECLARED)).wrong == ()
+
+
+def test_lines_of_which_some_have_no_pose_tell_nothing() -> None:
+    line = simulate_line(scene="checkerboard", wobble="rough", lines=400, bands=2, columns=320, swath=8.0)
+    pose = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+    columns = {name: (NAVIGATION_TIME, line[name].values, line[name].attrs) for name in pose}
+    nav = xr.Dataset(columns, {NAVIGATION_TIME: line["time"].values}, line.attrs)
+    late = line.assign_coords(time=line["time"] + np.timedelta64(20, "ms"))
+    assert check_conventions(late, nav, ground=160.0).wrong == ()
 
 
 @pytest.mark.slow
