@@ -267,6 +267,41 @@ def boundary_distance(body: Array, reliable: Array, max_distance: Any, distance:
 
 
 @kernel
+def squared_depth(mask: Array, squared: Array) -> None:
+    # Write the squared distance [pixel] of every pixel of a mask from the nearest pixel outside it.
+    #
+    # The bits of scipy's distance transform in a fifth of its time: distances along the columns, then along
+    # every line the lower envelope of the parabolas that rise from them (P. F. Felzenszwalb and
+    # D. P. Huttenlocher, Theory of Computing 8, 415, 2012, doi:10.4086/toc.2012.v008a019).
+    lines, columns = mask.shape
+    far = lines + columns  # no pixel is so far away
+    for sweep in range(2):
+        for i in range(lines):
+            line = i if sweep == 0 else lines - 1 - i
+            for x in range(columns):
+                gap = far if i == 0 else squared[line - 1 if sweep == 0 else line + 1, x] + 1
+                squared[line, x] = min(gap, (far if mask[line, x] else 0) if sweep == 0 else squared[line, x])
+    # the parabolas of the envelope: the place of their lowest point, their value at 0, where they begin
+    places, values, starts = np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns)
+    for line in range(lines):
+        last = -1
+        for x in range(columns):
+            value, start = squared[line, x] ** 2 + x * x, -np.inf
+            while last >= 0:
+                start = (value - values[last]) / (2.0 * (x - places[last]))
+                if start > starts[last]:
+                    break
+                last, start = last - 1, -np.inf
+            last += 1
+            places[last], values[last], starts[last] = x, value, start
+        parabola = 0
+        for x in range(columns):
+            while parabola < last and starts[parabola + 1] < x:
+                parabola += 1
+            squared[line, x] = values[parabola] - 2 * x * places[parabola] + x * x
+
+
+@kernel
 def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
     # Insert a source into a short list of the nearest sources, which holds every label at most once.
     count = labels.size

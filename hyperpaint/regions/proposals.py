@@ -28,7 +28,7 @@ from scipy.ndimage import (
     map_coordinates,
     uniform_filter,
 )
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from hyperpaint.base import (
     ALONG_TRACK,
@@ -56,6 +56,7 @@ from hyperpaint.base import (
 from hyperpaint.geometry import locate
 from hyperpaint.geometry.georeference.locating import between_maps, crs_of
 from hyperpaint.geometry.georeference.viewing import pixel_view
+from hyperpaint.kernels.segmentation import squared_depth
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.light.sun import diffuse_fraction, solar_position
@@ -861,6 +862,11 @@ def footprints_of(
                     colour, picture, np.s_[low[0] : high[0], low[1] : high[1]], wide_brightness
                 )
             paint, ground, dark, brightness = matches[key]
+            # pixels at the sides of the window beyond which the picture goes on
+            beyond = np.zeros(paint.shape, bool)
+            beyond[0], beyond[-1] = low[0] > 0, high[0] < shape[0]
+            beyond[:, 0] |= low[1] > 0
+            beyond[:, -1] |= high[1] < shape[1]
             seed = np.zeros(paint.shape, bool)
             seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
             parts = _parts_of_car(seed, paint | seed, dark if over_windows else None, cut_bridges)
@@ -868,14 +874,12 @@ def footprints_of(
             content = (*key, parts.tobytes())
             is_new = content not in areas
             if is_new:
-                areas[content] = _car_area(seed, parts, ground, max_size)
+                areas[content] = _car_area(seed, parts, ground, beyond, max_size)
             area, is_endless = areas[content]
             if area is None:
                 break
             is_endless = True
-            # whether the car reaches the first line and column of the window, and the last ones
-            sides = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
-            if not (sides & ~np.array([low == 0, high == shape])).any():
+            if not (area & beyond).any():
                 if is_new:
                     axis, centre, length, width = _rectangle(area)
                     # thousands are kept: only the car, and what profiles across its roof touch beside it
@@ -884,7 +888,8 @@ def footprints_of(
                     line, column = (low + first).tolist()
                     yield Footprint(
                         (line, column), (paint | seed)[window].copy(), area[window].copy(),
-                        brightness[window].copy(), axis, centre - first, length, width, bool(sides.any()),
+                        brightness[window].copy(), axis, centre - first, length, width,
+                        bool(area[[0, -1]].any() or area[:, [0, -1]].any()),
                     )  # fmt: skip
                 is_endless = False
                 break
@@ -948,20 +953,23 @@ def _parts_of_car(seed: Bools, paint: Bools, dark: Bools | None, cut_bridges: bo
     return np.asarray(closed & is_seed_part[parts])
 
 
-def _car_area(seed: Bools, closed: Bools, ground: Bools, max_size: float) -> tuple[Bools | None, bool]:
+def _car_area(
+    seed: Bools, closed: Bools, ground: Bools, beyond: Bools, max_size: float
+) -> tuple[Bools | None, bool]:
     # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
     # Parts with ground between them and the seed are not added. None without a core, or for more pixels than
-    # `max_size`; and whether the core around the seed alone has more.
+    # `max_size`; and whether the core around the seed alone has more. Only a part of the area, where it
+    # contains pixels of `beyond`: a larger window is needed.
     square = np.ones((3, 3), bool)
     if not closed.any():
         return None, False
     # only the part of the window around the connected parts, with a pixel of background
     shape, window = closed.shape, padded(find_objects(closed.view(np.int8))[0], 1)
-    seed, ground = seed[window], ground[window]
+    seed, ground, beyond = seed[window], ground[window], beyond[window]
     # the first component of the background is outside; others are holes
     outside, _ = label(np.pad(~closed[window], 1, constant_values=True))
     filled = (outside != 1)[1:-1, 1:-1]
-    depth = distance_transform_edt(filled)
+    depth = _depth(filled)
     # the depth at the seed counts: a wall that the car touches may be wider
     min_depth = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > min_depth, square)
@@ -974,14 +982,15 @@ def _car_area(seed: Bools, closed: Bools, ground: Bools, max_size: float) -> tup
     car_cores = cores == seed_core
     if car_cores.sum() > max_size:
         return None, True
-    area = _hull_around(car_cores, min_depth, filled)
+    area = car_cores if (car_cores & beyond).any() else _hull_around(car_cores, min_depth, filled)
+    is_whole = not (area & beyond).any()
     large_cores = np.flatnonzero(np.bincount(cores.ravel()) > min_depth * min_depth).tolist()
-    candidates = [core for core in large_cores if core not in (0, seed_core)]
+    candidates = [core for core in large_cores if is_whole and core not in (0, seed_core)]
     gaps: dict[int, float] = {}
     while candidates:
         if not gaps:
-            gap_of = np.full(count + 1, np.inf)
-            np.minimum.at(gap_of, cores, distance_transform_edt(~car_cores))
+            gap_of, others = np.full(count + 1, np.inf), cores > 0
+            np.minimum.at(gap_of, cores[others], _depth(~car_cores)[others])
             gaps = {core: float(gap_of[core]) for core in candidates}
         nearest = min(candidates, key=lambda core: (gaps[core], core))
         candidates.remove(nearest)
@@ -998,6 +1007,13 @@ def _car_area(seed: Bools, closed: Bools, ground: Bools, max_size: float) -> tup
     whole = np.zeros(shape, bool)
     whole[window] = area
     return whole, False
+
+
+def _depth(mask: Bools) -> Floats:
+    # Distance [pixel] of the pixels of a mask from the nearest pixel outside it
+    squared = np.empty(mask.shape, np.int64)
+    squared_depth(mask, squared)
+    return np.sqrt(squared)
 
 
 def _squares(mask: Bools, px: int, *, grow: bool) -> Bools:
@@ -1036,10 +1052,10 @@ def _discs(mask: Bools, radius: float) -> Bools:
 
 def hull_of(mask: Bools) -> Bools:
     # Return the convex hull of a mask (line, column).
-    points = _border(mask)
-    if np.linalg.matrix_rank(points - points[0]) < 2:
+    try:
+        normal_y, normal_x, offset = ConvexHull(_border(mask)).equations.T
+    except QhullError:  # all pixels lie on a straight line
         return mask
-    normal_y, normal_x, offset = ConvexHull(points).equations.T
     lines, columns = mask.shape
     # intersections of every line of the mask with the sides of the hull: the nearest side with its normal to
     # the right ends the line, the nearest with its normal to the left begins it
@@ -2386,13 +2402,15 @@ def propose_regions(
     found = list(pieces(scene, erode, max(min_pixels // 4, 1)))
     painted, leaves = ([piece for piece, is_leaves in found if is_leaves is kind] for kind in (False, True))
     cars = find_cars(painted, picture, as_progress(progress, "cars"))
-    _add_flags(picture, [*painted, *leaves], cars)
-    judged = []
-    for piece in leaves:
-        objection = "its red edge is that of leaves"
-        measures = measured(piece, picture, limits)
-        judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
-        picture.release()
+    _add_flags(picture, painted, cars)
+    unmeasured = np.full(len(scene.channel_wavelength), np.nan)
+    judged = [
+        Verdict(
+            piece, Measures(piece.inside, unmeasured, {}, int(piece.inside.sum())),
+            objections=["its red edge is that of leaves"], scenery=True,
+        )
+        for piece in leaves
+    ]  # fmt: skip
     for car in cars:
         judged += judge_car(car, picture, limits)
         picture.release()

@@ -5,11 +5,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy.ndimage import distance_transform_cdt
+from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 from scipy.optimize import lsq_linear
 
 from hyperpaint.kernels import arguments
-from hyperpaint.kernels.segmentation import boundary_distance, join_segments, nearest_sources, step_sizes
+from hyperpaint.kernels.segmentation import (
+    boundary_distance,
+    join_segments,
+    nearest_sources,
+    squared_depth,
+    step_sizes,
+)
 from hyperpaint.kernels.unmixing import PARTS, average_bands, minimise, unmix_lines
 
 RNG = np.random.default_rng(3)
@@ -206,6 +212,16 @@ def test_distances_to_boundaries_are_those_of_a_chessboard() -> None:
     for number in (0, 1):
         expected = distance_transform_cdt(body == number, "chessboard")
         np.testing.assert_array_equal(distance[body == number], expected[body == number])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_depths_are_those_of_the_distance_transform(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.random(rng.integers(1, 60, 2)) < 0.5 + 0.15 * seed
+    mask.flat[rng.integers(mask.size)] = False
+    depth = np.empty(mask.shape, np.int64)
+    squared_depth(mask, depth)
+    assert np.array_equal(np.sqrt(depth), distance_transform_edt(mask))
 
 
 def test_the_nearest_sources_come_first() -> None:
