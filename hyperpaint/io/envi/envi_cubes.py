@@ -818,8 +818,7 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     bare_path = path.with_suffix("")
     if path.suffix.lower() != ".hdr":
         headers = existing((".hdr", ".HDR"), path, bare_path)
-        if not headers and (problem := foreign_format(path, is_binary=True)) is not None:
-            raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
+        refuse(str(path), (True, None if headers else foreign_format(path, is_binary=True)))
         FormatError.raise_if(
             not headers,
             f"ENVI data file {str(path)!r} has no header beside it",

@@ -52,8 +52,12 @@ MAX_LINE_BYTES = 2**20
 MAX_NETCDF_BYTES = 2**30
 
 
-def refuse(subject: str, *checks: tuple[object, Problem], error: type[PaintError] = FormatError) -> None:
+def refuse(
+    subject: str, *checks: tuple[object, Problem | None], error: type[PaintError] = FormatError
+) -> None:
     """Raise the problem of the first check whose condition is true, with the subject before its message.
+
+    A check without a problem, such as that of `foreign_format` for other files, passes.
 
     Examples
     --------
@@ -62,7 +66,7 @@ def refuse(subject: str, *checks: tuple[object, Problem], error: type[PaintError
     hyperpaint.base.errors.FormatError: red.sig: no rows [table-missing]
     """
     for is_wrong, problem in checks:
-        if is_wrong:
+        if is_wrong and problem is not None:
             expected, mend, code = problem.expected, problem.mend, problem.code
             raise error(f"{subject}: {problem.found}", expected=expected, mend=mend, code=code)
 

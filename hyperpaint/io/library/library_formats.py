@@ -588,9 +588,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         is_envi = suffix in _ENVI_SUFFIXES or (
             suffix not in SPECTRUM_SUFFIXES and path.with_suffix(".hdr").is_file()
         )
-        problem = None if is_envi else foreign_format(path)
-        if problem is not None:
-            raise FormatError(f"{path.name}: {problem.found}", mend=problem.mend, code=problem.code)
+        refuse(path.name, (True, None if is_envi else foreign_format(path)))
         if is_plain_csv:
             library = read_csv_library(path, scale=scale, is_reflectance=is_reflectance)
         elif is_envi:

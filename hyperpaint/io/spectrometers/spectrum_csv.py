@@ -61,8 +61,7 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
     #     columns, of uncertainties.
     with Problems(f"{path} cannot be used as a spectrum", FormatError) as problems:
         data = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns")
-        if (problem := foreign_format(path, is_binary=True)) is not None:
-            raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
+        refuse(str(path), (True, foreign_format(path, is_binary=True)))
         lines = [line.strip().lstrip("\ufeff") for line in data.decode("utf-8", "replace").splitlines()]
         _, dialect = first_row(["" if line.startswith("#") else line for line in lines]) or (0, (",", False))
         rows: list[list[float]] = []
