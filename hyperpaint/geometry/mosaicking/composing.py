@@ -1037,12 +1037,20 @@ def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rule
         for row in range(low[0] + half, high[0] - half, half)
         for col in range(low[1] + half, high[1] - half, half)
     ]
-    textures = np.array([_texture(_window(first_picture, centre, half)) for centre in centres])
+    # the pictures continue by NaN, so that they have all windows
+    margin = half + reach
+    first_image, second_image = (
+        np.pad(picture.image, margin, constant_values=np.nan) for picture in (first_picture, second_picture)
+    )
+    to_first, to_second = (np.subtract(margin, picture.corner) for picture in (first_picture, second_picture))
+    textures = np.array([_texture(_window(first_image, centre + to_first, half)) for centre in centres])
     order = np.argsort(-textures, kind="stable")[: rules.max_patches]
     ties = []
     for centre in (centres[k] for k in order if textures[k] > rules.min_texture):
         shift, quality = _match(
-            _window(first_picture, centre, half), _window(second_picture, centre, half + reach), rules
+            _window(first_image, centre + to_first, half),
+            _window(second_image, centre + to_second, margin),
+            rules,
         )
         if quality < rules.min_correlation:
             continue
@@ -1067,16 +1075,10 @@ def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rule
     return table[is_near]
 
 
-def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
-    # Return the part of the picture around a cell; NaN beyond the picture.
-    out = np.full((2 * half + 1,) * 2, np.nan)
-    low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
-    begin = [max(k, 0) for k in low]
-    end = [min(k + 2 * half + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
-    if begin[0] < end[0] and begin[1] < end[1]:
-        covered = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
-        out[covered] = picture.image[begin[0] : end[0], begin[1] : end[1]]
-    return out
+def _window(image: Floats, place: Ints, half: int) -> Floats:
+    # Return a copy of the part of an image around a cell: sums over a view would differ in the last bit.
+    row, col = place
+    return image[row - half : row + half + 1, col - half : col + half + 1].copy()
 
 
 def _texture(patch: Floats) -> float:
