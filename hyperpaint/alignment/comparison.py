@@ -1917,8 +1917,11 @@ def apply_alignment(
         ):
             for name in (name for name in names if name not in present):
                 problems.add(f"{kind}{name!r} is missing", code=code)
-        if _WINDOW not in alignment.attrs:
-            problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
+        problems.add_if(
+            _WINDOW not in alignment.attrs,
+            f"attribute {_WINDOW!r} is missing",
+            code="attribute-missing",
+        )
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:
         if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:
@@ -1928,12 +1931,13 @@ def apply_alignment(
     windows = windows.transpose(_WINDOW, ...)
     is_reliable = windows["flag"].values == 0
     with Problems("the alignment cannot be applied", SchemaError) as problems:
-        if (
+        problems.add_if(
             windows.sizes[BAND] != dataset.sizes[BAND]
             or not -0.5 < float(windows["column"].max()) <= columns - 1
-            or not has_labels_of(alignment, dataset, (CROSS_TRACK,))
-        ):
-            problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
+            or not has_labels_of(alignment, dataset, (CROSS_TRACK,)),
+            "it belongs to a line with other bands or columns",
+            code="grid-mismatch",
+        )
         problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")
         for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
             problems.add_if(

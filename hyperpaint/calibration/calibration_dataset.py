@@ -410,12 +410,12 @@ def anchor_to_radiance(
         is_saturated = counts >= limit - float(SATURATION_MARGIN_COUNTS)
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
         saturated_elements = is_saturated.transpose(*ELEMENT).to_numpy()
-        if saturated_elements.any():
-            warn_user(
-                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
-                "elements-saturated",
-            )
-            signal = np.where(saturated_elements, np.nan, signal)
+        warn_if(
+            saturated_elements.any(),
+            f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
+            "elements-saturated",
+        )
+        signal = np.where(saturated_elements, np.nan, signal)
     first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
     # the sweep gives no wavelengths for unlit columns
     signal[:, :first] = signal[:, last + 1 :] = np.nan
@@ -979,8 +979,7 @@ class Result:
             self.dark_check,
         )
         # gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where unknown
-        order = np.argsort(self.centre_wavelength)
-        spacing = np.interp(lab.wavelength, self.centre_wavelength[order], self.centre_spacing[order])
+        spacing = at_steps(lab, self.wavelength_map, self.centre_spacing)
         source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
         own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
         factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
@@ -1105,24 +1104,22 @@ class Result:
 
     def _warn(self) -> None:
         is_wide = self.lab.width > _SHAPE_FIT.max_slit_share * self.fwhm_at_steps
-        if is_wide.any():
-            share = float(np.max(self.lab.width / self.fwhm_at_steps))
-            warn_user(
-                f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{_SHAPE_FIT.max_slit_share:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is "
-                "ill-conditioned "
-                "there; narrow the slits",
-                "slit-too-wide",
-            )
+        warn_if(
+            is_wide.any(),
+            f"the monochromator's line is up to {np.max(self.lab.width / self.fwhm_at_steps):.2g} of the "
+            f"camera's FWHM wide (over {_SHAPE_FIT.max_slit_share:g} at {is_wide.sum()} of {is_wide.size} "
+            "steps): fwhm is ill-conditioned there; narrow the slits",
+            "slit-too-wide",
+        )
         offset = self.dark_check.get("dark_offset_count", 0.0)
-        if abs(offset) > PLAUSIBLE_SWEEP.max_dark_offset:
-            warn_user(
-                f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
-                "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
-                f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark beside "
-                "the sweep",
-                "dark-offset",
-            )
+        warn_if(
+            abs(offset) > PLAUSIBLE_SWEEP.max_dark_offset,
+            f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
+            "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
+            f"one count makes {self.dark_check.get('out_of_band_of_one_count', 0.0):.2%}; take the dark "
+            "beside the sweep",
+            "dark-offset",
+        )
         if self.between is not None and self.error_between:
             error, wavelength = self.between
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
@@ -1133,13 +1130,13 @@ class Result:
                 f"{step / 4:.2g} nm",
                 "steps-too-coarse",
             )
-        if self.is_unlit.any():
-            first, last = self.wavelength_map.lit
-            warn_user(
-                f"{int(self.is_unlit.sum())} of {self.is_unlit.size} columns are not lit, all but {first} to "
-                f"{last}: they get no gain, and the wavelengths of the nearest lit column",
-                "columns-unlit",
-            )
+        first, last = self.wavelength_map.lit
+        warn_if(
+            self.is_unlit.any(),
+            f"{int(self.is_unlit.sum())} of {self.is_unlit.size} columns are not lit, all but {first} to "
+            f"{last}: they get no gain, and the wavelengths of the nearest lit column",
+            "columns-unlit",
+        )
 
     def _table(self) -> tuple[Floats, Floats] | None:
         measured = self.measured

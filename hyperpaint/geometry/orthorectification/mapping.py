@@ -246,8 +246,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
         ends = ends[np.isfinite(ends).all(axis=(1, 2))]
         if len(ends):
             break
-    else:
-        raise _nothing_located()
+    _refuse_unlocated(not len(ends))
     left, right = ends[:, 0], ends[:, 1]
     middles = (left + right) / 2
     _, spread, directions = np.linalg.svd(middles - middles.mean(axis=0), full_matrices=False)
@@ -273,14 +272,14 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
         surveyed, surveyed[1:], np.cumsum([len(rows) for rows, _ in surveyed]), strict=False
     ):
         table[start - 1, 9] = _median(np.hypot(*(first_pixels - last_pixels)))
-    if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():
-        raise _nothing_located()
+    _refuse_unlocated(np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all())
     across, along = (_median(table[:, column]) for column in (8, 9))
     return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
 
 
-def _nothing_located() -> SchemaError:
-    return SchemaError(
+def _refuse_unlocated(is_unlocated: object) -> None:
+    SchemaError.raise_if(
+        is_unlocated,
         "no two neighbouring pixels have ground positions, so there is nothing to map",
         mend="compare the poses with the height of the ground or the extent of the DEM (flag off_swath)",
         code="ground-not-seen",

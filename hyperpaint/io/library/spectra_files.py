@@ -188,9 +188,7 @@ def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
 
 def text_column(texts: Sequence[str]) -> Array:
     # Return texts as an array of objects, as stores hold them.
-    column = np.empty(len(texts), object)
-    column[:] = list(texts)
-    return column
+    return np.array(list(texts), object)
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
