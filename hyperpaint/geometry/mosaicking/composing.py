@@ -1075,7 +1075,7 @@ def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rule
     return table[is_near]
 
 
-def _window(image: Floats, place: Ints, half: int) -> Floats:
+def _window(image: Floats, place: Array, half: int) -> Floats:
     # Return a copy of the part of an image around a cell: sums over a view would differ in the last bit.
     row, col = place
     return image[row - half : row + half + 1, col - half : col + half + 1].copy()
