@@ -455,6 +455,26 @@ class Problems(contextlib.AbstractContextManager["Problems"]):
         else:
             self.add(f"{subject}: {error}", code="input-unreadable")
 
+    @contextlib.contextmanager
+    def noting(
+        self, errors: type[Exception] | tuple[type[Exception], ...], subject: str = ""
+    ) -> Iterator[None]:
+        """Note ``errors`` of the block instead of raising them; see `add_error`.
+
+        Examples
+        --------
+        >>> with Problems("the map", SchemaError) as problems:
+        ...     with problems.noting(FormatError, "grid"):
+        ...         raise FormatError("no cells")
+        Traceback (most recent call last):
+        hyperpaint.base.errors.SchemaError: the map:
+          grid: no cells
+        """
+        try:
+            yield
+        except errors as error:
+            self.add_error(subject, error)
+
     def __len__(self) -> int:
         return len(self._problems)
 

@@ -86,7 +86,9 @@ def read_rgl(path: str | Path) -> xr.Dataset:
         ),
     )
     tensors: dict[str, Array] = {}
-    try:
+    with FormatError.instead_of(
+        struct.error, f"{where}: its header ends early", mend="copy the file again", code="header-truncated"
+    ):
         *version, count = struct.unpack_from("<BBI", data, len(_MAGIC))
         wrong_version = Problem(f"version {version}", expected=f"{list(_VERSION)}", code="format-version")
         too_many = Problem(f"{count} tensors", expected=f"at most {_MAX_TENSORS}", code="tensor-count")
@@ -113,10 +115,6 @@ def read_rgl(path: str | Path) -> xr.Dataset:
             beyond = Problem(f"bytes {offset} to {end}", expected=f"up to {len(data)}", code="file-truncated")
             refuse(subject, (end > len(data), beyond))
             tensors[title] = np.frombuffer(data, _TYPES[number], math.prod(extent), offset).reshape(extent)
-    except struct.error as error:
-        raise FormatError(
-            f"{where}: its header ends early", mend="copy the file again", code="header-truncated"
-        ) from error
     missing = sorted(set(_TENSORS) - set(tensors))
     has_colours = Problem(
         "it has colours, not spectra",

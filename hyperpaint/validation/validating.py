@@ -1945,10 +1945,8 @@ def validate(
     problems = Problems("references cannot be used", SchemaError)
     spectra: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
-        try:
+        with problems.noting((SchemaError, UnitsError), f"reference {number}"):
             spectra += _dataset_spectra(dataset, number, reference_fwhm)
-        except (SchemaError, UnitsError) as error:
-            problems.add_error(f"reference {number}", error)
     problems.raise_if_any(
         (
             not spectra and not problems,

@@ -1113,7 +1113,7 @@ def _cubes(opened: OpenedCollect, lines: Mapping[str, xr.Dataset]) -> dict[str, 
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     cubes = {}
     for name, line in lines.items():
-        try:
+        with problems.noting((FormatError, StoreError), f"/{name}"):
             arrays = []
             for entry in map(entries.__getitem__, opened.members[name]):
                 with warnings.catch_warnings():  # already given when the collect was opened
@@ -1132,8 +1132,6 @@ def _cubes(opened: OpenedCollect, lines: Mapping[str, xr.Dataset]) -> dict[str, 
             urls = (url_of(array.path) or f"file://{os.path.realpath(array.path)}" for array in arrays)
             files = tuple(map(RawFile.of, urls))
             cubes[name] = _cube(line, arrays, files)
-        except (FormatError, StoreError) as error:
-            problems.add_error(f"/{name}", error)
     problems.raise_if_any()
     return cubes
 

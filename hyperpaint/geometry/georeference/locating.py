@@ -1335,7 +1335,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         problems.add(f"dims ({', '.join(map(str, dem.dims))})", expected="(y, x)", code="dim-missing")
     else:
         for name in ("x", "y"):
-            try:
+            with problems.noting(SchemaError, "grid"):
                 # The first coordinate and the step.
                 SchemaError.raise_if(
                     name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
@@ -1360,8 +1360,6 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
                     code="grid-uneven",
                 )
                 axes[name] = float(values[0]), float(step)
-            except SchemaError as error:
-                problems.add_error("grid", error)
     mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
     mapping_attrs = dem.coords[mapping].attrs if mapping in dem.coords else {}
     # the origin of a GeoTransform may be stale in a cropped raster, so only directions are used; on the grid
@@ -1432,11 +1430,9 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
             code="height-reference-missing",
         )
     else:
-        try:
+        with problems.noting(SchemaError, "heights"):
             heights = Convention(**declared)
             heights.ellipsoidal(0.0)
-        except SchemaError as error:
-            problems.add_error("heights", error)
     problems.raise_if_any()
     if vertical is not None and declared.get("height_reference", vertical.reference) != vertical.reference:
         warn_user(

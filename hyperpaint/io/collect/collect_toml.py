@@ -488,10 +488,8 @@ def _flightline(
         reader.nav[paths["nav"]] = None
     start = table.get("start_time")
     if start is not None:
-        try:
+        with reader.problems.noting(TimeError, subject):
             start = utc_of(start, "start_time")
-        except TimeError as error:
-            reader.problems.add_error(subject, error)
     has_period = "frame_period_ms" in stated | camera["?"]
     by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
     sources_of_time = {"frame_index", "nav", "start_time"} & stated

@@ -618,11 +618,9 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     arrays = {}
     for key, counts in steps.items():
         stated = (f"{name} {value:g}" for name, value in zip(of_step, key, strict=True) if value >= 0)
-        try:
+        with problems.noting(FormatError):
             is_cube = "cube" in columns
             arrays[key] = _cube(path.parent / counts[0, 0]) if is_cube else _array(", ".join(stated), counts)
-        except FormatError as error:
-            problems.add_error("", error)
     shapes = {array.shape[1:] for array in arrays.values()}
     problems.raise_if_any(
         (
@@ -938,7 +936,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         names += _TABULATED
     arrays: dict[str, xr.DataArray] = {}
     for name in names:
-        try:
+        with problems.noting((SchemaError, UnitsError)):
             # A variable in the units, dims and dtype of the table, without coordinates
             spec = VARIABLES[name]
             SchemaError.raise_if(
@@ -966,8 +964,6 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
                 # converted in float64, so that values are rounded once
                 array = convert(array.astype(np.float64), spec.units, name)
             arrays[name] = label(array.astype(dtype_of(name)), name)
-        except (SchemaError, UnitsError) as error:
-            problems.add_error("", error)
     for name, array in arrays.items():
         test, fault, expected, code = _VALUE_RULES.get(name, (lambda _: True, "", "", ""))
         problems.add_if(not test(array.values), f"{name!r} {fault}", expected=expected, code=code)

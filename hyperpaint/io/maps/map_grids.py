@@ -122,25 +122,24 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
         import rasterio
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import CRSError
-    try:
-        with (
-            warnings.catch_warnings(action="ignore"),  # rasterio warns of files without position
-            rasterio.Env(**_ENVIRONMENT),
-            rasterio.open(full_path, driver=driver, sharing=False) as raster,
-        ):
-            FormatError.raise_if(
-                raster.tags(ns="OVERVIEWS"),
-                f"{path} names another file for its overviews",
-                mend="convert it with gdal_translate",
-                code="file-not-alone",
-            )
-            yield raster
-    except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
-        raise FormatError(
-            f"{path}: GDAL cannot read it as {driver} ({error!s:.200})",
+    with (
+        FormatError.instead_of(
+            (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError),
+            f"{path}: GDAL cannot read it as {driver} ($error)",
             mend="copy it again",
             code="raster-damaged",
-        ) from error
+        ),
+        warnings.catch_warnings(action="ignore"),  # rasterio warns of files without position
+        rasterio.Env(**_ENVIRONMENT),
+        rasterio.open(full_path, driver=driver, sharing=False) as raster,
+    ):
+        FormatError.raise_if(
+            raster.tags(ns="OVERVIEWS"),
+            f"{path} names another file for its overviews",
+            mend="convert it with gdal_translate",
+            code="file-not-alone",
+        )
+        yield raster
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:

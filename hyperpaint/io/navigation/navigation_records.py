@@ -1074,10 +1074,8 @@ def _declarations(
         if one_of(time_scale, ("gps", "utc"), "time_scale", problems=problems):
             clock_settings["time_scale"] = time_scale
     convention = Convention()
-    try:
+    with problems.noting(SchemaError):
         convention = Convention(**declared)
-    except SchemaError as error:
-        problems.add_error("", error)
     optional_fields = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
     assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in optional_fields]
     return convention, assumed, clock_settings
@@ -1105,10 +1103,8 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
                 code="units-missing",
             )
         elif name != "time":
-            try:
+            with problems.noting(UnitsError, f"column {columns_by_name[name][0].shown!r}"):
                 conversion_factor(str(columns_by_name[name][0].unit), "m" if name == "altitude" else "degree")
-            except UnitsError as error:
-                problems.add_error(f"column {columns_by_name[name][0].shown!r}", error)
     return {name: columns[0] for name, columns in columns_by_name.items()}
 
 

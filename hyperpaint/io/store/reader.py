@@ -224,10 +224,8 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         ) as problems:
             opened = {}
             for name in groups:
-                try:
+                with problems.noting(IncompleteStoreError, f"group {'/' + name!r}"):
                     opened[name] = open_group(path, name, **kwargs)
-                except IncompleteStoreError as error:
-                    problems.add_error(f"group {'/' + name!r}", error)
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
     # an error if a running or interrupted run has not written all its groups
