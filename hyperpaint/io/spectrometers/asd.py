@@ -141,7 +141,6 @@ class AsdCalibration(NamedTuple):
 
     name: str  # name of the calibration file that the block was copied from
     integration_ms: float  # integration time of the calibration, see `nominal_integration_ms`
-    gains: tuple[int, int]  # SWIR 1 and SWIR 2
     values: Floats  # (wavelength)
 
 
@@ -151,7 +150,6 @@ class AsdFile:
 
     name: str  # file name without its folder
     version: int  # 1 to 8
-    comment: str  # of the operator on the spectrum
     description: str  # of the white reference
     # Local time of the logging PC when it saved the spectrum, in whole seconds, without a zone
     local_time: dt.datetime
@@ -166,7 +164,6 @@ class AsdFile:
     reference: Floats | None  # counts of the white panel; None if it was not measured
     integration_ms: float  # integration time of the VNIR detector, see `nominal_integration_ms`
     sample_averages: int  # spectra averaged into this one
-    gains: tuple[int, int]  # SWIR 1 and SWIR 2
     # Wavelengths [nm] at which VNIR and SWIR 1 end; -1 for a detector that the instrument lacks
     splices: tuple[float, float]
     gps: AsdGps | None  # None without a fix
@@ -363,12 +360,11 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
             (not {*numbers} <= {0, 1, 2, 3}, Problem(found, expected="0 to 3", code="file-damaged")),
             (len({*numbers}) < count, Problem(found, expected="one of each", code="file-damaged")),
         )
-        for number, name, milliseconds, *gains in heads:
+        for number, name, milliseconds, *_ in heads:
             kind = _CALIBRATION_KINDS[number]
             calibrations[kind] = AsdCalibration(
                 _text_of_bytes(name),
                 nominal_integration_ms(milliseconds),
-                (gains[0], gains[1]),
                 cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block"),
             )
     refuse(
@@ -397,7 +393,6 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     return AsdFile(
         name=path.name,
         version=version,
-        comment=_text_of_bytes(header["comment"]),
         description=description,
         local_time=local_time,
         utc_offset_h=utc_offset_h,
@@ -408,7 +403,6 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         reference=reference,
         integration_ms=nominal_integration_ms(header["integration_ms"]),
         sample_averages=header["averages"][2],
-        gains=header["swir_gains_offsets"][:2],
         splices=header["splices"],
         gps=_gps_fix(path.name, header["gps"]),
         calibrations=MappingProxyType(calibrations),
@@ -954,10 +948,7 @@ def _spectrum_of(
             ),
         ),
     )
-    # values and integration times [ms] of the calibration, and names of its files
-    blocks = {
-        kind: (block.values, block.integration_ms, block.name) for kind, block in file.calibrations.items()
-    }
+    blocks = dict(file.calibrations)
     for kind, other in external_files.items():
         refuse(
             name,
@@ -966,7 +957,7 @@ def _spectrum_of(
                 Problem(f"wavelengths differ from calibration file {other.name}", code="grid-mismatch"),
             ),
         )
-        blocks[kind] = (other.spectrum, other.integration_ms, other.name)
+        blocks[kind] = AsdCalibration(other.name, other.integration_ms, other.spectrum)
     missing = [kind for kind in kinds if kind not in blocks]
     keys = (f"{key!r}: path" for key, kind in _CALIBRATION_KEYS.items() if kind in missing)
     refuse(
@@ -992,9 +983,9 @@ def _spectrum_of(
         if quantity == "reflectance" and reference is not None:
             values = ratio(file.spectrum, reference)
             if absolute:
-                values = values * blocks["ABS"][0]
+                values = values * blocks["ABS"].values
         elif kinds:
-            lamp_counts, lamp_ms, _ = blocks["FO"]
+            _, lamp_ms, lamp_counts = blocks["FO"]
             is_used = wavelength <= ends[0]  # the formula is proven for the first detector alone
             refuse(
                 name,
@@ -1015,9 +1006,9 @@ def _spectrum_of(
                     ),
                 ),
             )
-            per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+            per_count = ratio(blocks["LMP"].values, lamp_counts) * (lamp_ms / file.integration_ms)
             if quantity == "radiance":
-                per_count = per_count * blocks["BSE"][0] / np.pi
+                per_count = per_count * blocks["BSE"].values / np.pi
             values = file.spectrum * per_count
     return Spectrum(
         name,
@@ -1030,7 +1021,7 @@ def _spectrum_of(
         gps=file.gps,
         saturated=is_saturated[is_used],
         clipped=clipped_top(file.spectrum[None, is_used])[0],
-        panel=blocks["ABS"][2] if absolute else "",
+        panel=blocks["ABS"].name if absolute else "",
     )
 
 
