@@ -1,7 +1,6 @@
 """The files of a simulated collect, read back with code of the test's own, and the effect of every switch."""
 
 import datetime as dt
-import hashlib
 import re
 import struct
 import tomllib
@@ -12,12 +11,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from support.refusals import expect_errors, expect_words
+from support.folders import contents
+from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import SWEEP_VARIABLES
-from hyperpaint.cli import program as cli
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import (
     SimulationSettings,
@@ -78,7 +77,7 @@ def table(path: Path) -> list[dict[str, str]]:
     return [dict(zip(first.split("\t"), row.split("\t"), strict=True)) for row in rows]
 
 
-def test_headers_say_what_headwall_says(collect: Path) -> None:
+def test_headers_cubes_and_toml_of_a_collect(collect: Path) -> None:
     keys, comments = header(collect / "flight" / "raw_0.hdr")
     assert {
         "data type": "12",
@@ -97,9 +96,7 @@ def test_headers_say_what_headwall_says(collect: Path) -> None:
         line.split(" = ") for line in (collect / "flight" / "settings.txt").read_text().splitlines()
     )
     assert settings["Exposure (ms)"] == "5.0"
-
-
-def test_cubes_hold_the_recorded_frames(collect: Path) -> None:
+    # cubes hold the frames that were recorded
     numbers = [int(path.stem[4:]) for path in sorted((collect / "flight").glob("raw_*.hdr"))]
     assert sorted(numbers) == [0, 23, 46]
     frames = []
@@ -111,6 +108,16 @@ def test_cubes_hold_the_recorded_frames(collect: Path) -> None:
     np.testing.assert_array_equal(
         np.flatnonzero(xr.open_zarr(collect / "truth.zarr").load()["no_data"]), [30, 31, 44]
     )
+    document = tomllib.loads((collect / "collect.toml").read_text())
+    assert [line["id"] for line in document["flightlines"]] == ["raw_0", "raw_23", "raw_46"]
+    for line in document["flightlines"]:
+        for key in ("cube", "frame_index", "nav"):
+            assert (collect / line[key]).is_file()
+    assert (collect / document["dark"]["cubes"][0]).is_file()
+    assert document["camera"] == {
+        "bit_depth": 12, "exposure_time_ms": 5.0, "frame_period_ms": 7.0, "stamp": "end",
+    }  # fmt: skip
+    assert document["irradiance"]["clock_offset_s"] == 37.25
 
 
 def test_frame_stamps_lead_to_the_middle_of_each_exposure(collect: Path) -> None:
@@ -194,19 +201,6 @@ def test_spectrometer_files_hold_irradiance_and_local_time(collect: Path) -> Non
     assert spans[-1] - spans[0] > 12.0
 
 
-def test_collect_toml_names_files_that_exist(collect: Path) -> None:
-    document = tomllib.loads((collect / "collect.toml").read_text())
-    assert [line["id"] for line in document["flightlines"]] == ["raw_0", "raw_23", "raw_46"]
-    for line in document["flightlines"]:
-        for key in ("cube", "frame_index", "nav"):
-            assert (collect / line[key]).is_file()
-    assert (collect / document["dark"]["cubes"][0]).is_file()
-    assert document["camera"] == {
-        "bit_depth": 12, "exposure_time_ms": 5.0, "frame_period_ms": 7.0, "stamp": "end",
-    }  # fmt: skip
-    assert document["irradiance"]["clock_offset_s"] == 37.25
-
-
 def test_truth_and_calibration_recover_each_other(collect: Path) -> None:
     # Counts, dark, gain and truth close within the noise; dead elements have no gain
     truth = xr.open_zarr(collect / "truth.zarr").load()
@@ -239,44 +233,32 @@ def test_truth_and_calibration_recover_each_other(collect: Path) -> None:
     assert 0 < saturated.sum() < truth["glint"].values[recorded].sum() + 5
 
 
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 def test_same_seed_same_bytes_whatever_the_blocks(tmp_path: Path) -> None:
     made = [
         simulate_collect(tmp_path / str(block), **SMALL, block_lines=block, cubes=2, dropped=3).parent
         for block in (7, 32, 500)
     ]
-    first = digests(made[0])
+    first = contents(made[0])
     assert len(first) > 20
     for other in made[1:]:
-        assert digests(other) == first
+        assert contents(other) == first
     changed = simulate_collect(tmp_path / "seed", **{**SMALL, "seed": 8}).parent
-    assert digests(changed)["dark/raw_0"] != first["dark/raw_0"]
+    assert contents(changed)["dark/raw_0"] != first["dark/raw_0"]
 
 
 def test_progress_and_overwrite(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     simulate_collect(tmp_path / "a", **SMALL, progress=lambda done, total: steps.append((done, total)))
     assert steps == [(32, 70), (64, 70), (70, 70)]
-    with pytest.raises(StoreError, match="folder-not-empty"):
-        simulate_collect(tmp_path / "a", **SMALL)
+    expect_error(StoreError, "folder-not-empty", lambda: simulate_collect(tmp_path / "a", **SMALL))
     (tmp_path / "a" / "mine.txt").write_text("kept")
-    before = digests(tmp_path / "a")
+    before = contents(tmp_path / "a")
     simulate_collect(tmp_path / "a", **SMALL, overwrite=True)
-    assert digests(tmp_path / "a") == before
+    assert contents(tmp_path / "a") == before
     assert not (simulate_collect(tmp_path / "b", **SMALL, truth=False).parent / "truth.zarr").exists()
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="folder-is-file"):
-        simulate_collect(tmp_path / "file", **SMALL)
-
-
-def test_a_real_collect_is_not_replaced(tmp_path: Path) -> None:
+    expect_error(StoreError, "folder-is-file", lambda: simulate_collect(tmp_path / "file", **SMALL))
+    # a real collect is not replaced
     (tmp_path / "flight").mkdir()
     (tmp_path / "flight" / "raw_0").write_text("precious")
     for text in (None, "[collect]\n"):
@@ -287,35 +269,23 @@ def test_a_real_collect_is_not_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "flight" / "raw_0").read_text() == "precious"
 
 
-def test_panels_reflect_what_they_say() -> None:
-    line = simulate_line(lines=60, bands=30, columns=32, noise=False, quantise=False)
+def test_reflectance_and_radiance_are_weighted_by_the_irradiance() -> None:
+    size: dict[str, Any] = {"lines": 60, "bands": 30, "columns": 32, "texture": 0.0}
+    line = simulate_line(**size, noise=False, quantise=False, matched=True, drift_per_minute=0.0)
+    seen, surface = line["true_reflectance"].transpose(..., "band").values, line["surface"].values
     for level in (5, 20, 50, 90):
-        panel = line["surface"] == list(MATERIALS).index(f"panel_{level:02d}")
-        values = line["true_reflectance"].transpose(..., "band").values[panel.values]
-        assert len(values) > 0
-        np.testing.assert_allclose(values, level / 100, rtol=3e-7)
-
-
-def test_radiance_is_the_weighted_irradiance_over_pi() -> None:
-    line = simulate_line(
-        lines=60, bands=30, columns=32, noise=False, quantise=False, matched=True, drift_per_minute=0.0
-    )
+        panel = seen[surface == list(MATERIALS).index(f"panel_{level:02d}")]
+        assert len(panel) > 0
+        np.testing.assert_allclose(panel, level / 100, rtol=3e-7)
     matched = np.broadcast_to(line["matched_irradiance"].values[0], line["true_radiance"].shape)
-    ratio = (line["true_radiance"].values * np.pi / matched).transpose(0, 2, 1)[
-        (line["surface"] == list(MATERIALS).index("panel_50")).values
-    ]
-    np.testing.assert_allclose(ratio, 0.5, rtol=3e-7)
-    flight = PlanFlight(SimulationSettings(lines=60, bands=30, columns=32, texture=0.0))
+    ratio = (line["true_radiance"].values * np.pi / matched).transpose(0, 2, 1)
+    np.testing.assert_allclose(ratio[surface == list(MATERIALS).index("panel_50")], 0.5, rtol=3e-7)
+    flight = PlanFlight(SimulationSettings(**size))
     grid, imager = flight.grid, flight.imager
     by_hand = imager.integrals((MATERIALS["green"](grid) * flight.sky.sum(axis=0))[None], grid)[0]
     by_hand /= imager.integrals(flight.sky.sum(axis=0)[None], grid)[0]
-    made = flight.lines(0, 1)  # seen at t = 0, where both factors are one
-    index = list(MATERIALS).index("green")
-    table = flight._reflected[:, :, slice(index * 32, (index + 1) * 32)].sum(axis=0) / flight.incident.sum(
-        axis=0
-    )
-    np.testing.assert_allclose(table, by_hand, rtol=1e-12)
-    assert made.counts.dtype == np.float32
+    _, column = shown = np.nonzero(surface == list(MATERIALS).index("green"))
+    np.testing.assert_allclose(seen[shown], by_hand.T[column], rtol=3e-6)
 
 
 def test_closure_of_float_counts() -> None:
@@ -433,7 +403,13 @@ def test_frame_stamp_marks_what_was_asked(tmp_path: Path, stamp: str) -> None:
     assert first - 1_234_567_891 == {"start": -2500, "mid": 0, "end": 2500}[stamp]
 
 
-def test_dropped_frames_in_memory() -> None:
+def test_in_memory_line_equals_the_files(collect: Path) -> None:
+    line = simulate_line(**SMALL, dropped=[30, 31, 44], bad_elements=3, glint=0.05)
+    counts = np.concatenate([cube(collect / "flight" / f"raw_{n}") for n in (0, 23, 46)])
+    recorded = np.isfinite(line["counts"].values[:, 0, 0]) & ~np.isnat(line["time"].values)
+    np.testing.assert_array_equal(line["counts"].values[recorded], counts)
+    np.testing.assert_allclose(line["dark_counts"], cube(collect / "dark" / "raw_0").mean(axis=0), rtol=1e-6)
+    # dropped frames have no time
     line = simulate_line(lines=12, bands=3, columns=3, dropped=[4, 5])
     assert line["counts"].dtype == np.uint16
     assert (line["counts"].values[[4, 5]] == 65535).all()
@@ -442,14 +418,6 @@ def test_dropped_frames_in_memory() -> None:
     settings = SimulationSettings(lines=40, cubes=2, dropped=9)
     assert len(settings.dropped_frames) == 9
     assert not {0, 19, 20, 39} & set(settings.dropped_frames.tolist())
-
-
-def test_in_memory_line_equals_the_files(collect: Path) -> None:
-    line = simulate_line(**SMALL, dropped=[30, 31, 44], bad_elements=3, glint=0.05)
-    counts = np.concatenate([cube(collect / "flight" / f"raw_{n}") for n in (0, 23, 46)])
-    recorded = np.isfinite(line["counts"].values[:, 0, 0]) & ~np.isnat(line["time"].values)
-    np.testing.assert_array_equal(line["counts"].values[recorded], counts)
-    np.testing.assert_allclose(line["dark_counts"], cube(collect / "dark" / "raw_0").mean(axis=0), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -478,21 +446,16 @@ def test_in_memory_line_equals_the_files(collect: Path) -> None:
 def test_hostile_arguments_are_refused_before_anything_is_written(
     tmp_path: Path, wrong: dict[str, Any]
 ) -> None:
-    with pytest.raises(SchemaError, match=next(iter(wrong))):
-        simulate_collect(tmp_path / "new", **wrong)
+    expect_error(SchemaError, next(iter(wrong)), lambda: simulate_collect(tmp_path / "new", **wrong))
     assert not (tmp_path / "new").exists()
 
 
-def test_all_problems_are_listed_at_once() -> None:
-    with pytest.raises(SchemaError) as caught:
-        simulate_line(lines=-1, exposure_time_ms=0.0, srf_shape="box", read_noise=-1.0)
-    for name in ("lines", "exposure_time_ms", "srf_shape", "read_noise"):
-        assert f"{name}=" in str(caught.value)
-    with pytest.raises(SchemaError, match="fwhm, smell"):
-        simulate_line(smell=1, fwhm=3)
-
-
-def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
+def test_all_problems_are_listed_at_once(tmp_path: Path) -> None:
+    wrong = {"lines": -1, "exposure_time_ms": 0.0, "srf_shape": "box", "read_noise": -1.0}
+    error = expect_error(SchemaError, None, lambda: simulate_line(**wrong))
+    expect_words(str(error), *(f"{name}=" for name in wrong))
+    expect_error(SchemaError, "fwhm, smell", lambda: simulate_line(smell=1, fwhm=3))
+    # files hold whole counts only
     expect_errors(
         (SchemaError, "option-conflict", lambda: simulate_collect(tmp_path / "new", quantise=False)),
         (SchemaError, "block_lines", lambda: simulate_collect(tmp_path / "new", block_lines=0)),
@@ -587,7 +550,7 @@ def test_the_pattern_is_that_of_real_files(shared_data: Path) -> None:
             np.testing.assert_allclose(rows[:, 0], svc_wavelengths(), atol=20)
 
 
-def test_svc_files_hold_the_paints(spectrometers: Path) -> None:
+def test_svc_files_hold_the_paints_in_units_of_the_instrument(spectrometers: Path) -> None:
     files = sorted((spectrometers / "svc").glob("*.sig"))
     assert [path.stem for path in files] == sorted(CAR_PAINTS)
     for path in files:
@@ -599,17 +562,6 @@ def test_svc_files_hold_the_paints(spectrometers: Path) -> None:
         np.testing.assert_allclose(
             rows[:, 2] / rows[:, 1], reflectance([path.stem], rows[:, 0])[0], atol=0.0045
         )
-
-
-def test_svc_files_of_a_low_sun_hold_numbers(tmp_path: Path) -> None:
-    # channels without light have no ratio
-    collect = simulate_collect(tmp_path, scene="plan", lines=4, bands=4, columns=4, sun_zenith=75.0)
-    _, rows = svc(collect.parent / "svc/grey.sig")
-    assert (rows[:, 1] == 0.0).any()
-    assert np.isfinite(rows).all()
-
-
-def test_svc_counts_radiance_in_units_of_the_instrument(spectrometers: Path) -> None:
     # 1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has
     _, rows = svc(spectrometers / "svc" / "grey.sig")
     flight = PlanFlight(SimulationSettings(lines=4, bands=4, columns=4))
@@ -619,6 +571,14 @@ def test_svc_counts_radiance_in_units_of_the_instrument(spectrometers: Path) -> 
         assert rows[row, 1] * 1e-10 * 1e4 == pytest.approx(
             ((flight.sky.sum(axis=0) * weight).sum() / weight.sum()) / np.pi, rel=1e-3
         )
+
+
+def test_svc_files_of_a_low_sun_hold_numbers(tmp_path: Path) -> None:
+    # channels without light have no ratio
+    collect = simulate_collect(tmp_path, scene="plan", lines=4, bands=4, columns=4, sun_zenith=75.0)
+    _, rows = svc(collect.parent / "svc/grey.sig")
+    assert (rows[:, 1] == 0.0).any()
+    assert np.isfinite(rows).all()
 
 
 def test_svc_clocks_and_places(spectrometers: Path) -> None:
@@ -649,7 +609,7 @@ def test_svc_hours_are_those_of_a_clock_face(tmp_path: Path, moment: str, shown:
     assert keys["time"].split(", ")[0] == shown
 
 
-def test_asd_files_hold_the_paints(spectrometers: Path) -> None:
+def test_asd_files_hold_the_paints_and_the_toml_names_both(spectrometers: Path) -> None:
     files = sorted((spectrometers / "asd_reflectance").glob("*.asd"))
     assert [path.stem for path in files] == sorted(CAR_PAINTS)
     made = hp.open_asd(files)
@@ -662,6 +622,11 @@ def test_asd_files_hold_the_paints(spectrometers: Path) -> None:
     seconds = (np.datetime64("2021-07-20T17:10:00") - made["time"].values) / np.timedelta64(1, "s")
     assert (seconds > 0).all()
     assert (seconds < 7200).all()
+    assert tomllib.loads((spectrometers / "collect.toml").read_text())["references"] == [
+        {"instrument": "svc", "files": "svc/*.sig"},
+        {"instrument": "asd", "files": "asd_reflectance/*.asd"},
+    ]
+    hp.open_collect(spectrometers / "collect.toml")
 
 
 @pytest.mark.real_data
@@ -681,14 +646,6 @@ def test_asd_headers_say_what_those_of_reflectance_do(spectrometers: Path, share
     assert told(spectrometers / "asd_reflectance" / "red.asd") == told(
         shared_data / "asd_binary" / "v7sample00003.asd"
     )
-
-
-def test_collect_toml_names_the_references(spectrometers: Path) -> None:
-    assert tomllib.loads((spectrometers / "collect.toml").read_text())["references"] == [
-        {"instrument": "svc", "files": "svc/*.sig"},
-        {"instrument": "asd", "files": "asd_reflectance/*.asd"},
-    ]
-    hp.open_collect(spectrometers / "collect.toml")
 
 
 # --- checkerboard ---
@@ -726,6 +683,7 @@ def test_corners_are_where_four_squares_meet() -> None:
 def test_lines_are_the_same_however_they_are_asked_for() -> None:
     whole, part = flight().lines(0, 70), flight().lines(33, 60)
     np.testing.assert_array_equal(whole.counts[33:60], part.counts)
+    assert np.abs(whole.layers["height"] - 160.0).max() < 1e-6  # the ground is level
     for name, values in whole.layers.items():
         np.testing.assert_array_equal(values[33:60], part.layers[name])
 
@@ -752,10 +710,6 @@ def test_share_is_the_mean_over_pixel_and_exposure() -> None:
             errors.append(made["bright_share"][line, column] - np.mean(fine))
     assert np.abs(errors).max() < 0.07
     assert abs(np.mean(errors)) < 0.01
-
-
-def test_ground_is_level() -> None:
-    assert np.abs(flight().lines(0, 70).layers["height"] - 160.0).max() < 1e-6
 
 
 def test_files_hold_what_was_flown(tmp_path: Path) -> None:
@@ -797,7 +751,18 @@ def test_line_in_memory_can_be_located() -> None:
 
 
 def test_from_a_terminal(tmp_path: Path) -> None:
-    options = ["--scene", "checkerboard", "--lines", "8", "--columns", "40", "--bands", "4", "--quiet"]
+    options = [
+        "--scene",
+        "checkerboard",
+        "--lines",
+        "8",
+        "--columns",
+        "40",
+        "--bands",
+        "4",
+        "--sweep",
+        "--quiet",
+    ]
     flown = (
         "swath=0.5 wobble=calm course=90 boresight=0.4,-0.6,0.8 lever_arm=0.05,-0.02,0.12 navigation_rate=50"
     )
@@ -805,6 +770,7 @@ def test_from_a_terminal(tmp_path: Path) -> None:
         options += ["--set", setting]
     done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *options])
     assert done.exit_code == 0, done.output
+    assert (tmp_path / "sim" / "lab" / "sweep.zarr" / "zarr.json").is_file()
     truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
     assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]
     assert np.ptp(truth["north"].values) > np.ptp(truth["east"].values)  # eight lines, flown east
@@ -1021,7 +987,7 @@ def test_beam_along_the_slit() -> None:
     np.testing.assert_allclose(unknown.true_flux.max("cross_track"), unknown.flux, rtol=0.02)
 
 
-def test_power_meter_and_dial_are_off() -> None:
+def test_power_meter_dial_and_converter_are_off() -> None:
     exact = simulate_sweep(**SHORT, **QUIET)
     meter = simulate_sweep(**SHORT, flux_bias=0.05, flux_noise=0.01, **QUIET)
     np.testing.assert_array_equal(meter.counts, exact.counts)
@@ -1038,6 +1004,9 @@ def test_power_meter_and_dial_are_off() -> None:
     assert float((counts * dial.true_wavelength).sum() / counts.sum()) == pytest.approx(
         float(dial.true_step_wavelength[3]), abs=0.05
     )
+    straight = above_dark(exact).astype(float)
+    bent = simulate_sweep(**SHORT, nonlinearity=0.04, **QUIET)
+    np.testing.assert_allclose(above_dark(bent), straight - 0.04 * straight**2 / 4095, atol=2e-3)
 
 
 def test_stray_light_is_the_matrix_it_says() -> None:
@@ -1062,12 +1031,6 @@ def test_second_order_falls_at_twice_the_wavelength() -> None:
     assert np.sqrt(np.average((wavelength[late] - 900) ** 2, weights=counts[late])) * 2 * np.sqrt(
         2 * np.log(2)
     ) == pytest.approx(np.hypot(6.0, 4.0), rel=0.01)
-
-
-def test_nonlinearity_takes_its_share() -> None:
-    straight = above_dark(simulate_sweep(**SHORT, **QUIET)).astype(float)
-    bent = simulate_sweep(**SHORT, nonlinearity=0.04, **QUIET)
-    np.testing.assert_allclose(above_dark(bent), straight - 0.04 * straight**2 / 4095, atol=2e-3)
 
 
 # --- noise ------------------------------------------------------------------------------------------------
@@ -1108,21 +1071,17 @@ def test_frames_drawn_together_are_as_frames_drawn_one_by_one() -> None:
     )
 
 
-def test_full_converter() -> None:
+def test_full_converter_single_frames_and_seeds() -> None:
     sweep = simulate_sweep(**SHORT, beam_power_w=1e-4)
     assert float(sweep.counts.max()) == float(sweep.saturation_count) == 4095
     assert float(sweep.counts_variance.where(sweep.counts == 4095).max()) == 0.0
     assert float(sweep.counts.min()) > 0
-
-
-def test_one_frame_has_no_variance() -> None:
+    # one frame has no variance
     sweep = simulate_sweep(steps=2, bands=8, columns=4, frames=1)
     assert np.isnan(sweep.counts_variance).all()
     np.testing.assert_array_equal(sweep.counts, np.rint(sweep.counts))
     assert "counts_variance" not in simulate_sweep(steps=2, bands=8, columns=4, variance=False)
-
-
-def test_seed_decides() -> None:
+    # the seed decides
     size: dict[str, Any] = {"steps": 3, "bands": 16, "columns": 4}
     one, same = simulate_sweep(**size, seed=5), simulate_sweep(**size, seed=5)
     xr.testing.assert_identical(one, same)
@@ -1159,18 +1118,15 @@ def test_store_is_what_memory_holds(tmp_path: Path, dark_exposure: Any) -> None:
 def test_store_is_replaced_only_on_request(tmp_path: Path) -> None:
     size: dict[str, Any] = {"steps": 2, "bands": 8, "columns": 3}
     path = write_sweep(tmp_path / "sweep.zarr", **size)
-    with pytest.raises(StoreError, match="store-exists"):
-        write_sweep(path, **size)
+    expect_error(StoreError, "store-exists", lambda: write_sweep(path, **size))
     write_sweep(path, **size, seed=1, truth=False, overwrite=True)
     assert not (tmp_path / "sweep_truth.zarr").exists()
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "keep.txt").write_text("dear")
-    with pytest.raises(StoreError, match="store-exists"):
-        write_sweep(tmp_path / "notes", **size, overwrite=True)
+    expect_error(StoreError, "store-exists", lambda: write_sweep(tmp_path / "notes", **size, overwrite=True))
     assert (tmp_path / "notes" / "keep.txt").is_file()
     (tmp_path / "notes" / "zarr.json").write_text('{"attributes": {"name": "lot"}, "node_type": "group"}')
-    with pytest.raises(StoreError, match="store-exists"):
-        write_sweep(tmp_path / "notes", **size, overwrite=True)
+    expect_error(StoreError, "store-exists", lambda: write_sweep(tmp_path / "notes", **size, overwrite=True))
     assert (tmp_path / "notes" / "keep.txt").is_file()
 
 
@@ -1196,25 +1152,6 @@ def test_collect_with_its_sweep(tmp_path: Path) -> None:
     assert not (toml.parent / "lab").exists()
 
 
-def test_command_line_writes_a_sweep(tmp_path: Path) -> None:
-    arguments = [
-        "simulate",
-        str(tmp_path / "sim"),
-        "--scene",
-        "plan",
-        "--lines",
-        "4",
-        "--bands",
-        "8",
-        "--columns",
-        "4",
-        "--sweep",
-    ]
-    done = CliRunner().invoke(cli.main, arguments)
-    assert done.exit_code == 0, done.output
-    assert (tmp_path / "sim" / "lab" / "sweep.zarr" / "zarr.json").is_file()
-
-
 # --- settings ---------------------------------------------------------------------------------------------
 
 
@@ -1229,19 +1166,25 @@ def test_command_line_writes_a_sweep(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_wrong_settings(wrong: dict[str, Any]) -> None:
-    with pytest.raises(SchemaError, match=next(iter(wrong))):
-        SweepSettings.of(wrong)
+    expect_error(SchemaError, next(iter(wrong)), lambda: SweepSettings.of(wrong))
 
 
-def test_all_problems_are_listed_together() -> None:
-    with pytest.raises(SchemaError) as caught:
-        SweepSettings(steps=0, second_order=-1.0, monochromator_shape="box", beam_power_w="bright")  # type: ignore[arg-type]
-    expect_words(str(caught.value), "steps", "second_order", "monochromator_shape", "beam_power_w")
-
-
-def test_a_sweep_cannot_change_the_camera_of_a_flight(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match=r"smile_nm.*key-unknown"):
-        SweepSettings.of({"smile_nm": 1.0}, SimulationSettings())
-    with pytest.raises(SchemaError, match="seed"):
-        simulate_collect(tmp_path / "sim", scene="plan", lines=4, bands=4, columns=4, sweep={"seed": 1})
+def test_all_problems_are_listed_together(tmp_path: Path) -> None:
+    wrong = {"steps": 0, "second_order": -1.0, "monochromator_shape": "box", "beam_power_w": "bright"}
+    expect_words(str(expect_error(SchemaError, None, lambda: SweepSettings.of(wrong))), *wrong)
+    # a sweep cannot change the camera of a flight
+    expect_errors(
+        (
+            SchemaError,
+            r"smile_nm.*key-unknown",
+            lambda: SweepSettings.of({"smile_nm": 1.0}, SimulationSettings()),
+        ),
+        (
+            SchemaError,
+            "seed",
+            lambda: simulate_collect(
+                tmp_path / "sim", scene="plan", lines=4, bands=4, columns=4, sweep={"seed": 1}
+            ),
+        ),
+    )
     assert not (tmp_path / "sim").exists()
