@@ -8,6 +8,7 @@ from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from oracles.fresnel import plain_fresnel
 from scipy.integrate import quad
+from support.refusals import expect_error
 from support.traced_scenes import FEW_BANDS, flat_light
 
 import hyperpaint as hp
@@ -59,10 +60,14 @@ class TestFresnel:
     def test_equals_the_form_by_angles(self, angle: float, index: float) -> None:
         assert_allclose(fresnel_reflectance(np.cos(angle), index), plain_fresnel(angle, index), rtol=1e-9)
 
-    def test_at_brewsters_angle_one_polarisation_is_left(self) -> None:
+    def test_brewsters_angle_and_known_values(self) -> None:
         assert_allclose(
             fresnel_reflectance(np.cos(np.arctan(1.5)), 1.5), 0.5 * ((1 - 2.25) / (1 + 2.25)) ** 2
         )
+        assert fresnel_reflectance(1.0, 1.5) == pytest.approx(0.04, abs=1e-15)
+        # Judd (1942), table for diffuse light: 0.0918 from outside, 0.5963 from within
+        assert hemispherical_reflectance(1.5) == pytest.approx(0.0918, abs=5e-5)
+        assert internal_reflectance(1.5) == pytest.approx(0.5963, abs=5e-5)
 
     @given(INDICES)
     def test_the_closed_form_is_the_integral(self, index: float) -> None:
@@ -79,12 +84,6 @@ class TestFresnel:
         critical = np.sqrt(1.0 - 1.0 / index**2)
         total = quad(inside, 0.0, critical)[0] + quad(inside, critical, 1.0, limit=200)[0]
         assert_allclose(internal_reflectance(index), total, rtol=1e-5)
-
-    def test_known_values(self) -> None:
-        assert fresnel_reflectance(1.0, 1.5) == pytest.approx(0.04, abs=1e-15)
-        # Judd (1942), table for diffuse light: 0.0918 from outside, 0.5963 from within
-        assert hemispherical_reflectance(1.5) == pytest.approx(0.0918, abs=5e-5)
-        assert internal_reflectance(1.5) == pytest.approx(0.5963, abs=5e-5)
 
 
 class TestCoatedBase:
@@ -105,6 +104,18 @@ class TestCoatedBase:
     def test_a_sphere_reads_the_brdf_averaged_over_the_light(self) -> None:
         mean = quad(lambda u: 2.0 * u * np.pi * self.brdf(0.6, 1.5, 1.0, u), 0.0, 1.0)[0]
         assert_allclose(coated_reflectance(0.6, geometry="d/0"), mean, rtol=1e-6)
+        # which is less than near normal
+        assert (coated_reflectance(0.4, geometry="d/0") / coated_reflectance(0.4)) == pytest.approx(
+            0.946, abs=5e-4
+        )
+        # with the mirror reflection it is Saunderson's correction
+        grid = np.array([500.0])
+        read = coated_reflectance(
+            Paint(0.3, interface=0.0, internal=0.0)(grid), geometry="d/0", specular_included=True
+        )
+        assert_allclose(
+            read, Paint(0.3, interface=0.04, internal=internal_reflectance(1.5))(grid), rtol=1e-12
+        )
 
     @pytest.mark.parametrize("cosine", [1.0, 0.5, 0.1])
     def test_a_white_base_gives_all_light_back(self, cosine: float) -> None:
@@ -117,20 +128,6 @@ class TestCoatedBase:
         factor = effective_factor(albedo, index)
         assert_allclose(geometric * factor, coated_reflectance(albedo, index), atol=1e-15)
         assert (factor[0], factor[-1]) == (0.0, pytest.approx(1.0))
-
-    def test_a_sphere_with_the_mirror_reflection_is_saundersons_correction(self) -> None:
-        grid = np.array([500.0])
-        read = coated_reflectance(
-            Paint(0.3, interface=0.0, internal=0.0)(grid), geometry="d/0", specular_included=True
-        )
-        assert_allclose(
-            read, Paint(0.3, interface=0.04, internal=internal_reflectance(1.5))(grid), rtol=1e-12
-        )
-
-    def test_a_sphere_reads_less_than_near_normal(self) -> None:
-        assert (coated_reflectance(0.4, geometry="d/0") / coated_reflectance(0.4)) == pytest.approx(
-            0.946, abs=5e-4
-        )
 
 
 class TestInversion:
@@ -145,27 +142,25 @@ class TestInversion:
             float(measured_factor(measured, index, geometry=geometry)), abs=1e-12
         )
 
-    def test_the_formula_of_the_contract(self) -> None:
+    def test_the_formula_of_the_contract_its_ends_and_beyond(self) -> None:
         measured, index = np.array([0.05, 0.3, 0.8]), 1.5
         q = measured * index**2 / (1.0 - 0.04) ** 2
         assert_allclose(base_albedo(measured, index), q / (1.0 + q * internal_reflectance(index)), rtol=1e-14)
+        # a Lambert surface is its reflectance, and white is within reach
+        assert_allclose(measured_factor([0.0, 0.3, 1.0], None), [0.0, 0.3, 1.0], atol=0)
+        assert base_albedo(1.0) < 1.0
+        assert float(coated_reflectance(1.0)) == pytest.approx(1.01473, abs=1e-5)
+        assert (base_albedo([]).shape, base_albedo(np.float32([0.5])).dtype) == ((0,), np.float64)
+        # what no surface can have is clamped with a warning
+        with pytest.warns(PaintWarning, match="2 of 3.*reflectance-clipped"):
+            factor = measured_factor([-0.01, 0.5, 1.2])
+        assert factor[[0, 2]].tolist() == [0.0, 1.0]
 
     @pytest.mark.parametrize("geometry", ["0/0", "d/0"])
     def test_the_mirror_reflection_is_taken_off(self, geometry: str) -> None:
         assert base_albedo(0.34, geometry=geometry, specular_included=True) == pytest.approx(
             float(base_albedo(0.30, geometry=geometry))
         )
-
-    def test_a_lambert_surface_is_its_reflectance_and_white_is_within_reach(self) -> None:
-        assert_allclose(measured_factor([0.0, 0.3, 1.0], None), [0.0, 0.3, 1.0], atol=0)
-        assert base_albedo(1.0) < 1.0
-        assert float(coated_reflectance(1.0)) == pytest.approx(1.01473, abs=1e-5)
-        assert (base_albedo([]).shape, base_albedo(np.float32([0.5])).dtype) == ((0,), np.float64)
-
-    def test_what_no_surface_can_have_is_clamped_with_a_warning(self) -> None:
-        with pytest.warns(PaintWarning, match="2 of 3.*reflectance-clipped"):
-            factor = measured_factor([-0.01, 0.5, 1.2])
-        assert factor[[0, 2]].tolist() == [0.0, 1.0]
 
 
 @pytest.mark.parametrize("measured", [0.05, 0.5, 0.9])
@@ -248,12 +243,6 @@ def test_flakes_of_a_flop_have_it(flop: float, share: float) -> None:
     assert flop_index(replace(paint, flakes=lobe), VISIBLE, 0.1, 0.85) == pytest.approx(flop, abs=0.05)
 
 
-def test_a_flop_that_no_lobe_gives_becomes_the_nearest() -> None:
-    paint = Material("m", "m", "paint", Coat(), Flakes(0.15))
-    most = flakes_of_flop(16.0, paint, VISIBLE, 0.6, 0.85, nearest=True)
-    assert flop_index(replace(paint, flakes=most), VISIBLE, 0.6, 0.85) < 4.0
-
-
 def test_the_index_is_almans_formula_of_three_lightnesses() -> None:
     paint = Material("m", "m", "paint", Coat(), Flakes(0.5, 0.2))
     near, face, far = (
@@ -296,11 +285,13 @@ def test_a_flop_beyond_real_paints_is_refused() -> None:
     # Flakes of a share of 0.67 over a dark red reach 28 with a sharp lobe
     dark = Material("m", "m", "paint", Coat(), Flakes(0.67))
     assert flop_index(replace(dark, flakes=Flakes(0.67, 0.05)), VISIBLE, 0.02, 0.85) > 25.0
-    with pytest.raises(SchemaError) as error:
-        flakes_of_flop(18.0, dark, VISIBLE, 0.02, 0.85)
-    assert "value-out-of-range" in error.value.codes
+    expect_error(SchemaError, "value-out-of-range", lambda: flakes_of_flop(18.0, dark, VISIBLE, 0.02, 0.85))
     most = flakes_of_flop(28.0, dark, VISIBLE, 0.02, 0.85, nearest=True)
     assert flop_index(replace(dark, flakes=most), VISIBLE, 0.02, 0.85) == pytest.approx(17.0, abs=0.2)
+    # one that no lobe gives becomes the nearest
+    bright = replace(dark, flakes=Flakes(0.15))
+    most = flakes_of_flop(16.0, bright, VISIBLE, 0.6, 0.85, nearest=True)
+    assert flop_index(replace(bright, flakes=most), VISIBLE, 0.6, 0.85) < 4.0
 
 
 # --- leaves ---
@@ -312,7 +303,7 @@ PLATE = {"r": (np.array([300.0, 1100.0]), np.full(2, REFLECTED)),
          "k": (np.array([300.0, 1100.0]), np.zeros(2))}  # fmt: skip
 
 
-def test_two_plates_are_one_upon_another() -> None:
+def test_leaves_are_plates_upon_another_and_keep_light_without_absorption() -> None:
     # Of diffuse light between them, R = R1 + T1 r t / (1 - r r) and T = T1 t / (1 - r r)
     passed = np.array([0.2, 0.7, 0.95])
     top, through = leaf_optics(passed, layers=1.0)
@@ -323,9 +314,7 @@ def test_two_plates_are_one_upon_another() -> None:
     r = 1.0 - outside + back * passed * t
     np.testing.assert_allclose(under, through * t / (1.0 - r**2), rtol=1e-9)
     np.testing.assert_allclose(both, top + through * r * t / (1.0 - r**2), rtol=1e-9)
-
-
-def test_a_leaf_without_absorption_keeps_all_light() -> None:
+    # without absorption all light is kept
     for layers in (1.0, 1.55, 3.0):
         reflected, transmitted = leaf_optics(np.array([1.0 - 1e-12, 1.0]), layers)
         np.testing.assert_allclose(reflected + transmitted, 1.0, rtol=1e-5)
@@ -339,6 +328,10 @@ def test_a_leaf_passes_half_of_the_near_infrared_and_no_red() -> None:
     assert 0.38 < transmittance[near_infrared][0] < 0.55
     assert transmittance[red][0] < 0.06
     assert transmittance[NM == 550.0][0] > 1.5 * transmittance[red][0]
+    # in a real car park
+    leaf = {one.name: one for one in car_park(length=15.0, fleet="real", leaves=20).materials}["leaf"]
+    assert leaf.transmittance == "leaf_through"
+    assert {one.name: one for one in car_park(length=15.0, leaves=20).materials}["leaf"].transmittance == ""
 
 
 def plate_over_black(below: str = "k") -> Scene:
@@ -380,9 +373,3 @@ def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
         traced = hp.simulation.trace(scene, flight, [(40.0, 150.0)], samples=64, depth=16)
         seen = hp.simulation.relight(traced, FEW_BANDS, spectra=nothing_lost, atmosphere=light).reflectance
         np.testing.assert_allclose(seen.mean(), expected, rtol=0.02)
-
-
-def test_leaves_of_a_real_car_park_shine_through() -> None:
-    leaf = {one.name: one for one in car_park(length=15.0, fleet="real", leaves=20).materials}["leaf"]
-    assert leaf.transmittance == "leaf_through"
-    assert {one.name: one for one in car_park(length=15.0, leaves=20).materials}["leaf"].transmittance == ""

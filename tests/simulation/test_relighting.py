@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
-from support.refusals import expect_errors, expect_refusals, expect_words, refusal
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words, refusal
 from support.traced_scenes import (
     FEW_BANDS,
     LOW_SUN,
@@ -210,11 +210,10 @@ def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> N
         traced = hp.simulation.trace(plane(400.0, material), flight(4, 3), [SUN], samples=4, depth=1)
         images.append(traced.paint.relight(MANY_BANDS, atmosphere=light, paints=paints).radiance)
     xr.testing.assert_allclose(*images, rtol=1e-5)
-
-
-def test_a_measured_spectrum_leaves_no_flakes() -> None:
-    record = SceneRecord.of(plane(4.0, Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))))
-    assert factor_spectra(record, FEW_BANDS, {"lacquer": spectrum_of("red")}).scales == (1.25, 0.0)
+    # a measured spectrum leaves no flakes
+    assert factor_spectra(
+        SceneRecord.of(plane(4.0, old)), FEW_BANDS, {"lacquer": spectrum_of("red")}
+    ).scales == (1.25, 0.0)
 
 
 def test_spectra_may_be_given_in_any_form(traced: xr.Dataset) -> None:
@@ -300,10 +299,14 @@ def test_shares_of_light(traced: xr.Dataset) -> None:
         assert made[name].attrs["units"] == "1"
 
 
-def test_shadow_is_that_of_the_sun_that_shines(traced: xr.Dataset) -> None:
+def test_shadow_is_that_of_the_sun_that_shines_whatever_the_chunks(traced: xr.Dataset) -> None:
     for number, sun in enumerate((SUN, LOW_SUN)):
         made = traced.paint.relight(FEW_BANDS, atmosphere=flat_light(direction=sun))
         np.testing.assert_allclose(made.shadow, 1 - traced.sun_visibility[:, number], rtol=1e-6)
+    # chunks that split lines are put together
+    split = traced.chunk({"along_track": 5, "cross_track": 3, "slot": 7})
+    whole = split.paint.relight(FEW_BANDS, atmosphere=line_light()).compute()
+    xr.testing.assert_identical(whole, traced.paint.relight(FEW_BANDS, atmosphere=line_light()).compute())
 
 
 def test_variables_are_those_of_the_table_before_and_after(traced: xr.Dataset, no_compute: Any) -> None:
@@ -345,12 +348,6 @@ def test_the_same_bits_whatever_the_chunks(scheduler_of_lines: Callable[[int], A
             xr.testing.assert_identical(made.compute(), whole)
 
 
-def test_chunks_that_split_lines_are_put_together(traced: xr.Dataset) -> None:
-    split = traced.chunk({"along_track": 5, "cross_track": 3, "slot": 7})
-    made = split.paint.relight(FEW_BANDS, atmosphere=line_light()).compute()
-    xr.testing.assert_identical(made, traced.paint.relight(FEW_BANDS, atmosphere=line_light()).compute())
-
-
 def test_a_stored_scene_is_relit_without_tracing(
     tmp_path: Path, traced: xr.Dataset, monkeypatch: pytest.MonkeyPatch, no_compute: Any
 ) -> None:
@@ -373,8 +370,7 @@ def test_a_stored_scene_is_relit_without_tracing(
             with no_compute():
                 made = opened.paint.relight(FEW_BANDS, **light, variation=even)
             xr.testing.assert_equal(made.compute(), relit)
-    with pytest.raises(AssertionError, match="traced again"):
-        tracing().compute()
+    expect_error(AssertionError, "traced again", lambda: tracing().compute())
     relit = tmp_path / "relit.zarr"
     hp.to_store(hp.open_store(path).paint.relight(FEW_BANDS, atmosphere=line_light()), relit)
     assert hp.verify(relit).ok
@@ -409,31 +405,44 @@ def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
     assert not found.quality.values.any()
 
 
-def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="sun-not-traced"):
-        traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0)))
+def test_what_was_not_traced_and_light_beyond_the_bands(traced: xr.Dataset) -> None:
+    expect_error(
+        SchemaError,
+        "sun-not-traced",
+        lambda: traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0))),
+    )
     traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
     traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
-    with pytest.raises(SchemaError, match="sky-not-traced"):
-        hp.simulation.trace(two_cars(), flight(), [SUN]).paint.relight(
+    expect_error(
+        SchemaError,
+        "sky-not-traced",
+        lambda: hp.simulation.trace(two_cars(), flight(), [SUN]).paint.relight(
             atmosphere=flat_light(overcast_share=0.5)
-        )
+        ),
+    )
+    expect_errors(
+        (SchemaError, "metadata-missing", lambda: xr.Dataset().paint.relight()),
+        (SchemaError, "transport_path", lambda: tracing().drop_vars("transport_path").paint.relight()),
+    )
+    # light covers the wings of the bands
+    # One and a half widths before 1100 nm, where the light ends; a little further is refused above
+    bands = BandSet(np.array([500.0, 1090.9]), np.array(6.0))
+    assert hp.simulation.relight(traced, bands, atmosphere=flat_light()).radiance.shape[1] == 2
 
 
 def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
     nm = np.array([380.0, 1050.0])
-    with pytest.raises(SchemaError) as caught:
-        traced.paint.relight(
-            paints={
-                "car_9": "red",
-                "car_0": (nm, np.array([0.5, 1.2])),
-                "car_1": (np.array([450.0, 1050.0]), np.array([0.5, 0.5])),
-                "brick": "no such spectrum",
-                "asphalt": (nm, np.array([-0.1, np.nan])),
-            },
-            atmosphere=line_light(),
-        )
-    message = str(caught.value)
+    paints = {
+        "car_9": "red",
+        "car_0": (nm, np.array([0.5, 1.2])),
+        "car_1": (np.array([450.0, 1050.0]), np.array([0.5, 0.5])),
+        "brick": "no such spectrum",
+        "asphalt": (nm, np.array([-0.1, np.nan])),
+    }
+    light = line_light()
+    message = str(
+        expect_error(SchemaError, None, lambda: traced.paint.relight(paints=paints, atmosphere=light))
+    )
     expect_words(
         message,
         "paints['car_9']",
@@ -443,15 +452,15 @@ def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
         "'asphalt' is not finite",
     )
     assert message.count("\n") == 5
-
-
-def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
-    nm = np.array([380.0, 1050.0])
-    high, limited = (nm, np.array([1.3, -0.2])), (nm, np.array([1.3, -0.2]))
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light())
+    # unless they are clipped
+    high = (nm, np.array([1.3, -0.2]))
+    expect_error(
+        SchemaError,
+        "value-out-of-range",
+        lambda: traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light()),
+    )
     made = traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light(), clip=True)
-    by_hand = lambda grid: np.interp(grid, *limited).clip(0.0, 1.0)  # noqa: E731
+    by_hand = lambda grid: np.interp(grid, *high).clip(0.0, 1.0)  # noqa: E731
     other = traced.paint.relight(FEW_BANDS, paints={"asphalt": by_hand}, atmosphere=line_light())
     xr.testing.assert_allclose(made.radiance, other.radiance, rtol=1e-5)
 
@@ -473,20 +482,8 @@ def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
     ],
 )
 def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any], found: str) -> None:
-    with pytest.raises(SchemaError, match=found):
-        hp.simulation.relight(traced, **{"atmosphere": flat_light(), **arguments})
-
-
-def test_light_covers_the_wings_of_the_bands(traced: xr.Dataset) -> None:
-    # One and a half widths before 1100 nm, where the light ends; a little further is refused above
-    bands = BandSet(np.array([500.0, 1090.9]), np.array(6.0))
-    assert hp.simulation.relight(traced, bands, atmosphere=flat_light()).radiance.shape[1] == 2
-
-
-def test_an_untraced_dataset() -> None:
-    expect_errors(
-        (SchemaError, "metadata-missing", lambda: xr.Dataset().paint.relight()),
-        (SchemaError, "transport_path", lambda: tracing().drop_vars("transport_path").paint.relight()),
+    expect_error(
+        SchemaError, found, lambda: hp.simulation.relight(traced, **{"atmosphere": flat_light(), **arguments})
     )
 
 
@@ -495,10 +492,13 @@ def test_an_instance_of_many_materials_has_no_one_paint() -> None:
     scene = plane(4.0, stripes[0], instance="chart")
     joined = type(scene).join([scene, plane(4.0, stripes[1], centre=(4.0, 0, 0), instance="other")])
     both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
-    with pytest.raises(SchemaError, match="paint-target-ambiguous"):
-        hp.simulation.trace(both, flight(1, 1), [SUN]).paint.relight(
+    expect_error(
+        SchemaError,
+        "paint-target-ambiguous",
+        lambda: hp.simulation.trace(both, flight(1, 1), [SUN]).paint.relight(
             paints={"chart": "red"}, atmosphere=flat_light()
-        )
+        ),
+    )
     shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
     with refusal(SchemaError, "paint-target-shared", "'other'"):
         hp.simulation.trace(shared, flight(1, 1), [SUN]).paint.relight(
@@ -575,11 +575,19 @@ def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.
     assert (is_mirrored(as_array)[0], is_indirect(as_array)[0]) == flags
 
 
-def test_codes_that_do_not_fit_are_refused() -> None:
+def test_codes_that_do_not_fit_or_are_of_another_scene_are_refused() -> None:
     assert PathCodes.of(2**14 - 1, 4).digit_bits == 14
     expect_refusals(
         (SchemaError, "path-code-too-long", "depth=3", lambda: PathCodes.of(2**14, 4)),
         (SchemaError, "value-out-of-range", lambda: PathCodes.of(3, 0)),
+    )
+    # of another scene
+    table = table_of(BandSet.of(), codes=PathCodes.of(3, 4), factors=lambda nm: np.ones((2, nm.size)))
+    assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
+    expect_error(
+        SchemaError,
+        "path-code-unknown",
+        lambda: table.rows(np.array([code_of(0, 2, digit_bits=CODES.digit_bits)])),
     )
 
 
@@ -602,13 +610,34 @@ def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any
         np.testing.assert_allclose(row, seen_by(bands, grid, product(code, grid)), rtol=1e-4)
 
 
-def test_the_slope_of_the_responsivity_counts() -> None:
+def test_responsivity_sources_without_light_and_means_over_cells() -> None:
     centres = np.linspace(750.0, 775.0, 12)
     flat, sloping = (
         table_of(BandSet(centres, np.array(6.0), "gaussian", None, response)).rows(np.array([2]))
         for response in (None, lambda nm: 1.0 - 0.03 * (nm - 760.0))
     )
     assert np.abs(flat / sloping - 1).max() > 0.005
+    # a source without light gives nothing
+    light = clear()
+    table = table_of(BandSet.of(), {2: light.sun, 3: 0 * light.sun})
+    assert not table.rows(np.array([0, 1, 3, 4])).any()
+    np.testing.assert_allclose(
+        table.irradiance(2)[0],
+        seen_by(BandSet.of(), GRID, np.interp(GRID, light.wavelength, light.sun)),
+        rtol=1e-4,
+    )
+    # means over cells keep the integral
+    rng = np.random.default_rng(3)
+    wavelength = np.sort(rng.uniform(400.0, 500.0, 300))
+    spectrum = rng.uniform(0.0, 2.0, 300)
+    for step in (0.05, 0.7, 5.0):
+        grid = np.arange(380.0, 520.0, step)
+        inside = np.diff(
+            np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
+        )
+        assert (cell_means(wavelength, spectrum, grid) * inside).sum() == pytest.approx(
+            np.trapezoid(spectrum, wavelength), rel=1e-12
+        )
 
 
 def test_columns_see_their_own_wavelengths() -> None:
@@ -652,17 +681,6 @@ def test_an_imager_integrates_without_norm() -> None:
     np.testing.assert_allclose(at_columns(table, codes) * camera.imager.element_factor, expected, rtol=1e-4)
 
 
-def test_a_source_without_light_gives_nothing() -> None:
-    light = clear()
-    table = table_of(BandSet.of(), {2: light.sun, 3: 0 * light.sun})
-    assert not table.rows(np.array([0, 1, 3, 4])).any()
-    np.testing.assert_allclose(
-        table.irradiance(2)[0],
-        seen_by(BandSet.of(), GRID, np.interp(GRID, light.wavelength, light.sun)),
-        rtol=1e-4,
-    )
-
-
 def test_who_asks_first_changes_no_bit() -> None:
     codes = some_codes()
     one_by_one, shared = table_of(BandSet.of()), table_of(BandSet.of())
@@ -696,35 +714,11 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     assert 0 < small._cache[1].nbytes <= 100 * 272 * 4
 
 
-def test_codes_of_another_scene_are_refused() -> None:
-    table = table_of(BandSet.of(), codes=PathCodes.of(3, 4), factors=lambda nm: np.ones((2, nm.size)))
-    assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
-    with pytest.raises(SchemaError, match="path-code-unknown"):
-        table.rows(np.array([code_of(0, 2, digit_bits=CODES.digit_bits)]))
-
-
-def test_means_over_cells_keep_the_integral() -> None:
-    rng = np.random.default_rng(3)
-    wavelength = np.sort(rng.uniform(400.0, 500.0, 300))
-    spectrum = rng.uniform(0.0, 2.0, 300)
-    for step in (0.05, 0.7, 5.0):
-        grid = np.arange(380.0, 520.0, step)
-        inside = np.diff(
-            np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
-        )
-        assert (cell_means(wavelength, spectrum, grid) * inside).sum() == pytest.approx(
-            np.trapezoid(spectrum, wavelength), rel=1e-12
-        )
-
-
 def test_bands_that_cannot_be_are_all_named() -> None:
-    with pytest.raises(SchemaError) as caught:
-        BandSet(np.array([500.0, 400.0]), np.array([1.0, 2.0, 3.0]), "box", np.array([[1.0]]))
-    assert str(caught.value).count("\n") == 4
-    with pytest.raises(SchemaError, match="wavelength"):
-        BandSet(np.array([500.0, np.nan]), np.array(6.0))
-    with refusal(SchemaError, "variable-missing", "'wavelength'", "'fwhm'"):
-        BandSet.of(object())
+    wrong = (np.array([500.0, 400.0]), np.array([1.0, 2.0, 3.0]), "box", np.array([[1.0]]))
+    assert str(expect_error(SchemaError, None, lambda: BandSet(*wrong))).count("\n") == 4
+    expect_error(SchemaError, "wavelength", lambda: BandSet(np.array([500.0, np.nan]), np.array(6.0)))
+    expect_refusals((SchemaError, "variable-missing", "'wavelength'", "'fwhm'", lambda: BandSet.of(object())))
 
 
 @pytest.mark.parametrize("bands", [1, 2, 5, 272])
