@@ -63,7 +63,8 @@ def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> N
         assert 0.0 < found.min() <= found.max() < 1.0
         # no step that a nanometre's sampling would miss
         assert np.abs(np.diff(found)).max() < 0.04
-    assert paint.finish in FINISHES
+    assert (paint.flakes is not None) == (family in ("metallic", "pearl"))
+    assert paint.finish == (family if paint.flakes else "solid")
     assert all((paint.trade_name, paint.colour))
     assert paint_spec(paint.name) == paint
 
@@ -98,27 +99,22 @@ def test_names_mean_the_same_next_year() -> None:
         assert_allclose(spectrum_of(name)(np.array([450.0, 550.0, 650.0, 850.0])), expected, atol=5e-5)
 
 
-def test_flakes_shine_through_the_tint_twice() -> None:
+def test_flakes_shine_through_the_tint_twice_over_a_kubelka_munk_layer() -> None:
     # exp(-2 K d) with S d = 0.05: a K/S of 2 leaves exp(-0.2)
     clear, tinted = (Pigments(ratio).flakes(GRID) for ratio in (0.0, 2.0))
     assert_allclose(tinted / clear, np.exp(-0.2), rtol=1e-12)
     green, dip = np.searchsorted(GRID, [550.0, 825.0])
     assert (clear[green], clear[dip]) == (pytest.approx(0.92, abs=0.01), pytest.approx(0.87, abs=0.01))
-
-
-def test_the_base_under_the_coat_is_the_kubelka_munk_layer() -> None:
+    # K/S = (1 - R)^2 / 2 R by its definition
+    for ratio in (0.001, 0.5, 20.0):
+        albedo = Pigments(ratio).albedo(np.array([500.0]))[0]
+        assert (1.0 - albedo) ** 2 / (2.0 * albedo) == pytest.approx(ratio, rel=1e-9)
+    # which is the base under the coat
     for family in FAMILIES:
         paint = generate_paint(family, 3)
         assert_allclose(
             base_albedo(paint.reflectance(GRID), Coat().index), paint.pigments.albedo(GRID), rtol=1e-10
         )
-
-
-def test_kubelka_munk() -> None:
-    # K/S = (1 - R)^2 / 2 R by its definition
-    for ratio in (0.001, 0.5, 20.0):
-        albedo = Pigments(ratio).albedo(np.array([500.0]))[0]
-        assert (1.0 - albedo) ** 2 / (2.0 * albedo) == pytest.approx(ratio, rel=1e-9)
 
 
 class TestFamilies:
@@ -133,12 +129,6 @@ class TestFamilies:
         assert seen["ir_black"].max() < 0.05 < 0.15 < found["ir_black"][:, INFRARED].min()
         assert (np.ptp(seen["grey"], axis=1) / seen["grey"].mean(axis=1)).max() < 0.1
         assert seen["tinted"].mean() > 1.5 * seen["solid"].mean()
-
-    def test_only_metallic_and_pearl_have_flakes(self) -> None:
-        for family in FAMILIES:
-            paint = generate_paint(family, 1)
-            assert (paint.flakes is not None) == (family in ("metallic", "pearl"))
-            assert paint.finish == (family if paint.flakes else "solid")
 
     @pytest.mark.parametrize("family", FAMILIES)
     def test_there_is_variety(self, family: str) -> None:
@@ -182,8 +172,7 @@ class TestFourteen:
         assert 0.05 < found["brown"]["red"] < 0.2
         assert found["ir_black"]["infrared"] > 10 * found["ir_black"]["red"]
         assert found["black"]["infrared"] < 0.05
-
-    def test_material(self) -> None:
+        # their materials
         silver = paint_spec("silver").material("paint of car_007")
         assert (silver.name, silver.spectrum, silver.kind) == ("paint of car_007", "silver", "paint")
         assert silver.coat == Coat()
@@ -198,15 +187,11 @@ class TestCatalogue:
         assert (found.shape, found.dtype) == ((2201,), np.float64)
         assert ((found >= 0.0) & (found <= 1.0)).all()
 
-    def test_any_shape(self) -> None:
+    def test_spectra_of_the_simulator_in_any_shape_without_the_first_reflection(self) -> None:
         assert spectrum_of("red")(np.full((2, 3), 500.0)).shape == (2, 3)
         assert spectrum_of("panel_50")(np.array(500)) == 0.5
-
-    def test_paints_come_without_the_first_reflection(self) -> None:
         for name, paint in CAR_PAINTS.items():
             assert_allclose(spectrum_of(name)(GRID), paint(GRID) - 0.04, rtol=1e-12)
-
-    def test_everything_of_the_simulator_is_there(self) -> None:
         assert set(MATERIALS) | set(FOURTEEN) <= set(SPECTRA)
         assert {"aluminium", "leaf", "brick", "lamp_red", "lamp_clear", "trim"} <= set(SPECTRA)
 
@@ -241,7 +226,7 @@ def test_a_small_car_park_has_the_shares_too(first: int) -> None:
         assert abs(groups[colour] - 60 * share) < 2.5
 
 
-def test_paints_look_like_their_colours() -> None:
+def test_paints_of_the_fleet_look_like_their_colours_under_dust() -> None:
     levels: dict[str, list[float]] = {}
     for number in range(300):
         levels.setdefault(group_of(number), []).append(
@@ -251,18 +236,14 @@ def test_paints_look_like_their_colours() -> None:
     assert max(levels["black"]) < 0.15
     assert np.median(levels["black"]) < 0.06
     assert np.median(levels["black"]) < np.median(levels["grey"]) < np.median(levels["silver"]) + 0.2
-
-
-def test_names_lead_to_paints() -> None:
+    # names lead to paints
     spec = paint_spec("fleet-17")
     assert is_paint("fleet-17")
     assert not is_paint("fleet-17:flakes")
     assert (spec.flakes is None) == (spec.finish == "solid")
     assert 1.48 <= spec.coat.index <= 1.55
     np.testing.assert_array_equal(spec.reflectance(NM), spectrum_of("fleet-17")(NM))
-
-
-def test_dust_is_a_layer_of_two_fluxes() -> None:
+    # dust is a layer of two fluxes
     # Adding-doubling of a partial cover: light is sent to and fro between dust and paint
     cover, body = 0.3, np.array([0.02, 0.4, 0.9])
     nm = np.full(3, 600.0)
@@ -468,18 +449,14 @@ def test_ranks_are_even_and_alike_over_the_length() -> None:
     assert abs(np.corrcoef(ranks[:, :-5].ravel(), ranks[:, 5:].ravel())[0, 1]) < 0.03
 
 
-def test_things_and_seeds_have_fields_of_their_own() -> None:
+def test_fields_of_things_and_seeds_and_what_has_none() -> None:
     first = field(0.05, grain(0.1))
     for other in (field(0.05, grain(0.1), instance=1), field(0.05, grain(0.1), seed=4)):
         assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.05
-
-
-def test_what_is_smaller_than_a_pixel_averages_out() -> None:
+    # what is smaller than a pixel averages out
     assert field(0.4, grain(0.1, is_averaged=True)).std() < 0.35 * field(0.4, grain(0.1)).std()
     assert (field(0.01, grain(0.1, is_averaged=True)).std() / field(0.01, grain(0.1)).std()) > 0.95
-
-
-def test_the_sky_and_plain_surfaces_have_no_member() -> None:
+    # the sky and plain surfaces have no member
     label = np.array([[-1, 0, 1]], np.int32)
     made = grains([0, 9])
     place = np.array([[[np.nan, 0.0, 1.0]]] * 3)
