@@ -1,6 +1,5 @@
 """Collects flown over a rendered car park: what their files, their truth and their regions hold."""
 
-import hashlib
 import itertools
 import json
 import tempfile
@@ -12,6 +11,8 @@ import pyproj
 import pytest
 import xarray as xr
 from click.testing import CliRunner, Result
+from support.folders import contents
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -51,29 +52,13 @@ def line() -> xr.Dataset:
     return simulate_line(**SMALL, matched=True, noise=False, quantise=False, drift_per_minute=0.0)
 
 
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
-def test_rendered_is_what_is_simulated_unless_told(tmp_path: Path) -> None:
-    made = simulate_collect(
-        tmp_path / "sim", lines=4, bands=3, columns=8, samples=1, fleet="solid", neighbours=False
-    ).parent
-    assert "east" in xr.open_zarr(made / "truth.zarr")
-    assert "east" not in simulate_line(lines=4, bands=3, columns=8)
-
-
 @pytest.mark.slow
 def test_same_seed_same_bytes_whatever_the_blocks(tmp_path: Path, collect: Path) -> None:
-    first = digests(collect)  # in blocks of 32 lines
+    first = contents(collect)  # in blocks of 32 lines
     made = simulate_collect(tmp_path / "7", **SMALL, cubes=2, dropped=[30, 31], block_lines=7)
-    assert digests(made.parent) == first
+    assert contents(made.parent) == first
     other = simulate_collect(tmp_path / "seed", **{**SMALL, "seed": 8, "lines": 25}, truth=False).parent
-    assert digests(other)["flight/raw_0"] != first["flight/raw_0"]
+    assert contents(other)["flight/raw_0"] != first["flight/raw_0"]
 
 
 def test_layers_of_truth(truth: xr.Dataset) -> None:
@@ -98,6 +83,10 @@ def test_layers_of_truth(truth: xr.Dataset) -> None:
     assert truth["up"].values[painted].mean() > 0.5
     assert abs(np.median(truth["up"].values[~cars])) < 0.2
     json.dumps(truth["surface_class"].attrs)
+    # glint is marked where it adds light
+    glint = truth["glint"].values
+    assert 0 < glint.sum() < 0.05 * glint.size
+    assert glint[cars].mean() > 5 * glint[~cars].mean()
 
 
 def test_surfaces_are_named_as_their_spectra(truth: xr.Dataset) -> None:
@@ -220,13 +209,10 @@ def test_coats_mirror_the_sun_and_lambert_paint_does_not() -> None:
     assert coated["true_reflectance"].transpose(..., "band").values[paint].max() > 1.0
     assert bare["true_reflectance"].transpose(..., "band").values[paint].max() < 1.0
     np.testing.assert_array_equal(coated["true_east"], bare["true_east"])
-
-
-def test_glint_is_marked_where_it_adds_light(truth: xr.Dataset) -> None:
-    glint = truth["glint"].values
-    car = truth["car_id"].values >= 0
-    assert 0 < glint.sum() < 0.05 * glint.size
-    assert glint[car].mean() > 5 * glint[~car].mean()
+    # neighbours can be left out
+    assert not {"leaf", "brick", "bark"} & set(
+        simulate_line(**SMALL, neighbours=False)["surface"].attrs["flag_meanings"].split()
+    )
 
 
 @pytest.mark.parametrize("sky", ["overcast", "near_sunset"])
@@ -245,12 +231,6 @@ def test_skies(sky: str, line: xr.Dataset) -> None:
         assert other["true_shadow"].mean() > line["true_shadow"].mean() + 0.1
 
 
-def test_neighbours_can_be_left_out() -> None:
-    assert not {"leaf", "brick", "bark"} & set(
-        simulate_line(**SMALL, neighbours=False)["surface"].attrs["flag_meanings"].split()
-    )
-
-
 def test_more_samples_are_less_noise() -> None:
     size = {**SMALL, "lines": 12, "noise": False, "quantise": False, "coat": False, "neighbours": False}
     best = simulate_line(**{**size, "samples": 256})["true_reflectance"].values
@@ -262,18 +242,21 @@ def test_more_samples_are_less_noise() -> None:
 
 
 def test_a_flight_too_long_to_render_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="flight-too-long"):
-        simulate_collect(tmp_path / "new", lines=512, columns=2)
+    expect_error(
+        SchemaError, "flight-too-long", lambda: simulate_collect(tmp_path / "new", lines=512, columns=2)
+    )
     assert not (tmp_path / "new").exists()
 
 
-def test_command_line(tmp_path: Path) -> None:
+def test_rendered_is_what_is_simulated_unless_told(tmp_path: Path) -> None:
+    assert "east" not in simulate_line(lines=4, bands=3, columns=8)
     size = ["--lines", "6", "--bands", "4", "--columns", "16"]
-    asked = ["--scene", "rendered", "--samples", "2", "--atmosphere", "overcast"]
+    asked = ["--samples", "2", "--atmosphere", "overcast"]
     asked += ["--set", "coat=no", "--set", "neighbours=no"]
     done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *size, *asked])
     assert done.exit_code == 0, done.output
     made = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
+    assert "east" in made
     assert not made["glint"].any()
     assert "leaf" not in made["surface"].attrs["flag_meanings"]
     wrong = CliRunner().invoke(main, ["simulate", str(tmp_path / "no"), "--scene", "3d"])
@@ -382,9 +365,9 @@ def test_same_bytes_whatever_the_blocks(tmp_path: Path) -> None:
     assert json.loads(first)["features"]
 
 
-def test_regions_of_a_plan_show_one_surface(tmp_path: Path) -> None:
+def test_regions_of_a_plan_show_one_surface_unless_pixels_are_too_coarse(tmp_path: Path) -> None:
     folder = simulate_collect(
-        tmp_path, scene="plan", lines=120, bands=4, columns=160, cubes=2, dropped=4, glint=0.01
+        tmp_path / "fine", scene="plan", lines=120, bands=4, columns=160, cubes=2, dropped=4, glint=0.01
     ).parent
     known = xr.open_zarr(folder / "truth.zarr")
     lines = truth_of(folder, np.flatnonzero(known["no_data"]).tolist())
@@ -395,6 +378,9 @@ def test_regions_of_a_plan_show_one_surface(tmp_path: Path) -> None:
         shown = lines[flightline].isel(along_track=along, cross_track=across)
         assert (shown["surface"] == names.index(name)).all()
         assert not shown["glint"].any()
+    # none where pixels are too coarse
+    coarse = simulate_collect(tmp_path / "coarse", scene="plan", lines=40, bands=4, columns=24).parent
+    assert len(hp.read_regions(coarse / "regions.geojson")) == 0
 
 
 def test_squares_of_a_checkerboard(tmp_path: Path) -> None:
@@ -408,11 +394,6 @@ def test_squares_of_a_checkerboard(tmp_path: Path) -> None:
         assert (
             known["bright_share"].isel(along_track=along, cross_track=across) == (name == "panel_50")
         ).all()
-
-
-def test_no_region_where_pixels_are_too_coarse(tmp_path: Path) -> None:
-    folder = simulate_collect(tmp_path, scene="plan", lines=40, bands=4, columns=24).parent
-    assert len(hp.read_regions(folder / "regions.geojson")) == 0
 
 
 class _Painted(PlanFlight):

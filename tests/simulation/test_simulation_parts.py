@@ -1,8 +1,10 @@
 """Light, paints, scene and imager of the simulator against hand calculations."""
 
 import dataclasses
+import functools
 import itertools
 import math
+import re
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ import xarray as xr
 from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
-from support.refusals import expect_words, refusal
+from support.refusals import expect_error, expect_words, refusal
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line, simulate_sweep
@@ -47,7 +49,7 @@ from hyperpaint.simulation.rendering.platforms import (
     pushbroom,
 )
 from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, MATERIALS, Paint, reflectance
-from hyperpaint.simulation.settings import ORIGIN, SHAPES
+from hyperpaint.simulation.settings import CAMERA_FIELDS, ORIGIN, SHAPES
 from hyperpaint.workflows import rendering
 from hyperpaint.workflows.rendering import example_scene, read_scene_file
 
@@ -68,17 +70,14 @@ def worked_imager(shape: str = "gaussian", slope: float = 0.0) -> Imager:
     )
 
 
-def test_worked_example_field() -> None:
+def test_worked_examples_of_field_and_lab() -> None:
     imager = worked_imager()
     radiance = np.full((1, len(GRID)), 0.40 * 1.30 / np.pi)
     counts = expected_counts(imager.integrals(radiance, GRID), 5e-3, 1.8598e-11)
     assert counts[0, 136, 0] == pytest.approx(1966.09, abs=0.005)
     recovered = counts / (5e-3 * 1.8598e-11 * imager.integrals(np.ones_like(radiance), GRID))
     np.testing.assert_allclose(np.pi * recovered / 1.30, 0.40, rtol=1e-12)
-
-
-def test_worked_example_lab() -> None:
-    imager = worked_imager()
+    # in the lab
     line = line_shape(GRID - imager.wavelength[136], 2.0, 0.0, "gaussian", 0.05)[None]
     counts = 50e-3 * 3.0e-12 * imager.integrals(line, GRID)
     assert counts[0, 136, 0] == pytest.approx(2846.05, abs=0.005)
@@ -102,10 +101,6 @@ def test_line_shape_has_unit_area_and_its_width(shape: str, centre: float) -> No
     assert response.sum() * 0.05 == pytest.approx(1.0, abs=1e-12)
     assert (response * offset).sum() * 0.05 == pytest.approx(0.0, abs=1e-9)
     assert np.ptp(offset[response >= response.max() / 2]) == pytest.approx(6.0, abs=0.11)
-    if shape == "slit":
-        # variance of two boxes: (a^2 + b^2) / 12, and of the grid cell
-        assert ((response * offset**2).sum() * 0.05) == pytest.approx((36 + 2.2**2 + 0.05**2) / 12, rel=1e-6)
-        assert not response[np.abs(offset) > 4.2].any()
 
 
 def test_slit_is_the_convolution_of_two_boxes() -> None:
@@ -117,7 +112,7 @@ def test_slit_is_the_convolution_of_two_boxes() -> None:
     )
 
 
-def test_smile_moves_the_response_of_a_column() -> None:
+def test_integrals_over_the_responses_of_columns() -> None:
     shift = smile(5, 0.8)
     np.testing.assert_allclose(shift, [0.8, 0.2, 0.0, 0.2, 0.8])
     imager = Imager(
@@ -127,9 +122,7 @@ def test_smile_moves_the_response_of_a_column() -> None:
     grid = spectral_grid(450.0, 560.0)
     moments = imager.integrals(np.stack([np.ones_like(grid), grid]), grid)
     np.testing.assert_allclose(moments[1] / moments[0], imager.wavelength[:, None] + shift, atol=1e-9)
-
-
-def test_integrals_agree_with_each_response() -> None:
+    # and agree with each response
     rng = np.random.default_rng(3)
     factor = 1 + 0.1 * rng.random((3, 21))
     imager = Imager(
@@ -142,11 +135,11 @@ def test_integrals_agree_with_each_response() -> None:
     for band in range(3):
         response = imager.response(band, grid, imager.wavelength_shift) * factor[band]
         np.testing.assert_allclose(made[:, band], spectra @ response * 0.05, rtol=1e-9)
-
-
-def test_a_grid_that_ends_inside_a_response_is_refused() -> None:
-    with pytest.raises(ValueError, match="grid covers"):
-        worked_imager().integrals(np.ones((1, 100)), spectral_grid(500.0, 505.0)[:100])
+    expect_error(
+        ValueError,
+        "grid covers",
+        lambda: worked_imager().integrals(np.ones((1, 100)), spectral_grid(500.0, 505.0)[:100]),
+    )
 
 
 def test_convolution_of_gaussians_adds_their_variances() -> None:
@@ -166,18 +159,15 @@ def test_etendue_from_either_pupil() -> None:
     assert pytest.approx(1.8598e-11, rel=1e-4) == ETENDUE
 
 
-def test_noise_has_the_variance_of_the_model() -> None:
+def test_noise_has_the_variance_of_the_model_and_the_converter_rounds() -> None:
     detector = Detector(np.full((400, 500), 100.0), 20.0, 0.5, 12)
     for signal in (0.0, 50.0, 3000.0):
         counts = detector.read(np.full((400, 500), signal), np.random.default_rng(1))
         assert counts.mean() == pytest.approx(100.0 + signal, abs=5 * counts.std() / 447)
         # 2e5 samples: the variance is known to 0.3 %
         assert counts.var() == pytest.approx(signal / 20.0 + 0.25, rel=0.015)
-
-
-def test_converter_rounds_and_clips() -> None:
-    counts = Detector(np.zeros((1, 4)), 20.0, 0.5, 12).convert(np.array([[-3.0, 17.4, 17.6, 5000.0]]))
-    assert (counts.dtype, counts.tolist()) == (np.uint16, [[0, 17, 18, 4095]])
+    whole = Detector(np.zeros((1, 4)), 20.0, 0.5, 12).convert(np.array([[-3.0, 17.4, 17.6, 5000.0]]))
+    assert (whole.dtype, whole.tolist()) == (np.uint16, [[0, 17, 18, 4095]])
 
 
 def test_noon_irradiance_is_of_the_right_level() -> None:
@@ -318,13 +308,10 @@ def test_a_point_spread_keeps_energy_and_variance(fwhm: float) -> None:
     )
 
 
-def test_a_point_spread_is_that_of_its_integral() -> None:
+def test_point_spreads_follow_their_integral_and_add() -> None:
     weights, expected = point_spread(1.6), gaussian(1.6)
     middle = len(weights) // 2
     np.testing.assert_allclose(weights, expected[12 - middle : 13 + middle], atol=1e-9)
-
-
-def test_two_blurs_are_one() -> None:
     two = np.convolve(point_spread(1.5), point_spread(2.0))
     one = point_spread(2.5)
     spare = (len(two) - len(one)) // 2
@@ -357,9 +344,7 @@ def test_a_blur_keeps_the_energy_of_a_point_even_at_the_edge(place: tuple[int, i
     scene[place[0], :, place[1]] = 3.0
     seen = images(Optics(OpticsSettings(psf_across_columns=2.0, psf_along_lines=3.0), NM), scene)
     np.testing.assert_allclose(seen.sum(axis=(0, 2)), 3.0, rtol=1e-12)
-
-
-def test_nothing_happens_to_an_even_scene() -> None:
+    # nothing happens to an even scene
     settings = OpticsSettings(psf_kernel=KERNEL, keystone_columns=2.7)
     np.testing.assert_allclose(images(Optics(settings, NM), np.full((4, 5, 6), 2.0)), 2.0, rtol=1e-14)
 
@@ -391,9 +376,10 @@ def signal_of(line: xr.Dataset) -> Floats:
     return (line.counts.astype("f8") - line.dark_counts).values  # type: ignore[no-any-return]
 
 
-def test_off_costs_nothing() -> None:
+def test_optics_are_part_of_the_camera_and_cost_nothing_where_off() -> None:
     assert Camera.of(SimulationSettings()).optics is None
     assert Camera.of(SimulationSettings(psf_along_lines=1.0)).optics is not None
+    assert {field.name for field in dataclasses.fields(OpticsSettings)} <= CAMERA_FIELDS
 
 
 def test_counts_are_those_of_the_blurred_scene() -> None:
@@ -450,7 +436,7 @@ def test_memory_does_not_grow_with_the_flight() -> None:
     assert min(peak(512), peak(512)) < 1.1 * peak(128)
 
 
-def test_masked_columns_count_the_pedestal() -> None:
+def test_masked_columns_show_the_pedestal() -> None:
     line = simulate_line(**SMALL, pedestal=4.5, masked_columns=3, psf_across_columns=3.0, stray_light=0.05)
     signal = signal_of(line)
     np.testing.assert_allclose(signal[..., :3], 4.5, atol=1e-4)
@@ -459,11 +445,9 @@ def test_masked_columns_count_the_pedestal() -> None:
     is_blind = np.isnan(line.radiance_gain.values)
     assert is_blind[:, [0, 1, 2, -3, -2, -1]].all()
     assert not is_blind[:, 3:-3].any()
-
-
-def test_masked_columns_show_the_pedestal_of_noisy_lines() -> None:
-    line = simulate_line(lines=60, bands=40, columns=20, pedestal=2.25, masked_columns=2)
-    blind = signal_of(line)[..., [0, 1, -2, -1]].mean(axis=(1, 2))
+    # of noisy lines too
+    noisy = simulate_line(lines=60, bands=40, columns=20, pedestal=2.25, masked_columns=2)
+    blind = signal_of(noisy)[..., [0, 1, -2, -1]].mean(axis=(1, 2))
     # 160 elements of a read noise of 0.5 and a rounding of 0.29 counts
     np.testing.assert_allclose(blind, 2.25, atol=5 * np.hypot(0.5, 0.29) / np.sqrt(160) + 0.05)
 
@@ -507,8 +491,7 @@ def test_the_example_shows_the_optics(tmp_path: Path) -> None:
     settings = SimulationSettings.of({key: given[key] for key in names if key != "psf_kernel"})
     assert (settings.psf_across_columns, settings.masked_columns) == (1.2, 4)
     path.write_text(text.replace("psf_across_columns", "psf_kernel").replace("= 1.2 ", "= [1.0] "))
-    with pytest.raises(FormatError, match=r"psf_kernel.*type-wrong"):
-        read_scene_file(path)
+    expect_error(FormatError, r"psf_kernel.*type-wrong", lambda: read_scene_file(path))
 
 
 # --- in the lab --------------------------------------------------------------------------------------------
@@ -546,20 +529,6 @@ def test_a_sweep_has_the_stray_light_and_the_pedestal_of_the_camera() -> None:
     assert float(sweep.true_pedestal) == 3.0
 
 
-def test_a_sweep_cannot_have_other_optics_than_the_flight(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match=r"stray_light.*key-unknown"):
-        simulate_collect(tmp_path / "sim", lines=8, bands=4, columns=6, sweep={"stray_light": 0.01})
-
-
-# --- settings ----------------------------------------------------------------------------------------------
-
-
-def test_every_field_of_the_optics_makes_the_camera() -> None:
-    from hyperpaint.simulation.settings import CAMERA_FIELDS
-
-    assert {field.name for field in dataclasses.fields(OpticsSettings)} <= CAMERA_FIELDS
-
-
 # --- Platforms: where rays start and look, how drones move, and the ellipsoid, against scipy and PROJ
 
 
@@ -585,6 +554,14 @@ def test_a_level_flight_north_looks_down_with_columns_to_the_east() -> None:
     np.testing.assert_allclose(right[:, 0], 0.2, atol=1e-12)
     near, far = (ground_of(flight, edge, 0.0) for edge in flight.along_edges)
     np.testing.assert_allclose((far - near)[:, 1], 0.1, atol=1e-12)
+    # the exposure smears by speed times time
+    smeared = pushbroom(4, 2, altitude=15.0, speed=4.0, exposure_time=5e-3)
+    np.testing.assert_allclose((smeared.origin[:, 1] - smeared.origin[:, 0])[:, 1], 0.02, atol=1e-12)
+    # times of a record are UTC
+    time = np.array(["2021-07-20T17:00:00", "2021-07-20T17:00:10"], dtype="datetime64[ns]")
+    lines = np.array(["2021-07-20T17:00:02.5", "2021-07-20T17:00:03"], dtype="datetime64[ns]")
+    recorded = platform_from_poses(time, *[[0, 0]] * 2, [9, 9], *[[0, 0]] * 3, columns=1, line_time=lines)
+    np.testing.assert_array_equal(recorded.utc, lines)
 
 
 @pytest.mark.parametrize(
@@ -637,11 +614,6 @@ def test_boresight_and_lever_arm_are_in_the_frame_of_the_unit() -> None:
     np.testing.assert_allclose(flight.origin[0, 0], NED_TO_ENU @ unit.apply([0.5, 0.2, 0.1]) + [0, 0, 10])
 
 
-def test_the_exposure_smears_by_speed_times_time() -> None:
-    flight = pushbroom(4, 2, altitude=15.0, speed=4.0, exposure_time=5e-3)
-    np.testing.assert_allclose((flight.origin[:, 1] - flight.origin[:, 0])[:, 1], 0.02, atol=1e-12)
-
-
 def test_wobble_has_the_spread_it_is_given_and_follows_the_seed() -> None:
     one = pushbroom(20_000, 1, wobble=(0.5, 0.3, 1.0), heading=180.0, sway=0.2, seed=4)
     np.testing.assert_allclose(one.attitude.std(axis=0), [0.5, 0.3, 1.0], rtol=0.15)
@@ -650,13 +622,6 @@ def test_wobble_has_the_spread_it_is_given_and_follows_the_seed() -> None:
     other = pushbroom(20_000, 1, wobble=(0.5, 0.3, 1.0), heading=180.0, sway=0.2, seed=5)
     np.testing.assert_array_equal(one.rotation, again.rotation)
     assert not np.allclose(one.rotation, other.rotation)
-
-
-def test_record_times_are_utc() -> None:
-    time = np.array(["2021-07-20T17:00:00", "2021-07-20T17:00:10"], dtype="datetime64[ns]")
-    lines = np.array(["2021-07-20T17:00:02.5", "2021-07-20T17:00:03"], dtype="datetime64[ns]")
-    flight = platform_from_poses(time, *[[0, 0]] * 2, [9, 9], *[[0, 0]] * 3, columns=1, line_time=lines)
-    np.testing.assert_array_equal(flight.utc, lines)
 
 
 @pytest.mark.parametrize(
@@ -679,14 +644,7 @@ def test_record_times_are_utc() -> None:
     ],
 )
 def test_flights_that_cannot_be_flown_are_refused(wrong: dict[str, Any], text: str) -> None:
-    with pytest.raises(SchemaError) as caught:
-        pushbroom(**{"lines": 4, "columns": 4, **wrong})
-    assert text in str(caught.value)
-
-
-def test_all_problems_of_a_flight_are_told_at_once() -> None:
-    with refusal(SchemaError, "value-out-of-range", "lines=0", "altitude=0", "wobble=-1", "seed=-1"):
-        pushbroom(0, 4, altitude=0, wobble=-1, seed=-1)
+    expect_error(SchemaError, re.escape(text), lambda: pushbroom(**{"lines": 4, "columns": 4, **wrong}))
 
 
 @pytest.mark.parametrize(
@@ -707,8 +665,7 @@ def test_all_problems_of_a_flight_are_told_at_once() -> None:
 def test_records_that_cannot_be_used_are_refused(wrong: dict[str, Any], text: str) -> None:
     poses: dict[str, Any] = {name: [0, 0] for name in ("east", "north", "roll", "pitch", "heading")}
     poses |= {"time": [0, 1], "up": [9, 9], "columns": 2, "line_time": [0.5]}
-    with pytest.raises(SchemaError, match=text):
-        platform_from_poses(**(poses | wrong))
+    expect_error(SchemaError, text, lambda: platform_from_poses(**(poses | wrong)))
 
 
 def test_platforms_of_wrong_arrays_are_refused() -> None:
@@ -724,6 +681,9 @@ def test_platforms_of_wrong_arrays_are_refused() -> None:
     ):
         with pytest.raises(SchemaError, match=text):
             Platform(**(given | {name: wrong}))
+    # all problems of a flight at once
+    with refusal(SchemaError, "value-out-of-range", "lines=0", "altitude=0", "wobble=-1", "seed=-1"):
+        pushbroom(0, 4, altitude=0, wobble=-1, seed=-1)
 
 
 # --- the motion of a drone ----------------------------------------------------------------------------------
@@ -760,13 +720,11 @@ def test_wobble_is_that_of_drones(
     assert np.abs(yaw).max() < path.max_yaw
 
 
-def test_seeds_wobble_differently_and_again_the_same() -> None:
+def test_seeds_wobble_differently_and_without_wobble_it_flies_straight() -> None:
     rolls = [flown(wobble="calm", seed=seed).pose(SECONDS)["roll"] for seed in (1, 1, 2)]
     np.testing.assert_array_equal(rolls[0], rolls[1])
     assert np.abs(np.corrcoef(rolls[0], rolls[2])[0, 1]) < 0.2
-
-
-def test_without_wobble_it_flies_straight() -> None:
+    # without wobble it flies straight
     pose = flown(wobble="none", course=63.0).pose(SECONDS)
     assert not pose["roll"].any()
     assert not pose["pitch"].any()
@@ -799,15 +757,24 @@ def test_camera_is_where_pose_and_mounting_put_it() -> None:
 
 
 def test_motions_and_mountings_that_cannot_be_flown() -> None:
-    with pytest.raises(SchemaError) as caught:
-        SimulationSettings(
-            wobble="wild", boresight=(1.0, 2.0), lever_arm=(0.0, 0.0, 9.0), swath=0.0, course=999.0
-        )
-    for text in ("wobble='wild'", "boresight=(1.0, 2.0)", "lever_arm=", "swath=0.0", "course=999.0"):
-        assert text in str(caught.value)
-    with pytest.raises(SchemaError) as caught:
-        SimulationSettings(scene="plan", course=10.0, swath=5.0, navigation_rate=300)
-    expect_words(str(caught.value), "course=10.0", "swath=5.0", "navigation_rate=300")
+    for told, wrong in (
+        (
+            ("wobble='wild'", "boresight=(1.0, 2.0)", "lever_arm=", "swath=0.0", "course=999.0"),
+            {
+                "wobble": "wild",
+                "boresight": (1.0, 2.0),
+                "lever_arm": (0, 0, 9),
+                "swath": 0.0,
+                "course": 999.0,
+            },
+        ),
+        (
+            ("course=10.0", "swath=5.0", "navigation_rate=300"),
+            {"scene": "plan", "course": 10.0, "swath": 5.0, "navigation_rate": 300},
+        ),
+    ):
+        make = functools.partial(SimulationSettings, **wrong)
+        expect_words(str(expect_error(SchemaError, None, make)), *told)
 
 
 # --- the ellipsoid and the map ------------------------------------------------------------------------------
@@ -842,14 +809,7 @@ def test_map_is_that_of_utm(zone: int) -> None:
     assert np.abs(north - y).max() < 1e-7
 
 
-def test_zone_of_a_place() -> None:
-    zones = [TransverseMercator.of(43.0, longitude).zone for longitude in (-180.0, -77.7, 0.0, 179.9)]
-    assert zones == [1, 18, 31, 60]
-    with pytest.raises(ValueError, match="-20"):
-        TransverseMercator.of(-20.0, 0.0)
-
-
-def test_local_frame_is_that_of_proj() -> None:
+def test_local_frame_and_zone_of_a_place() -> None:
     frame = LocalFrame(43.0845, -77.6749, 160.0)
     latitude, longitude = 43.0845 + RNG.normal(0, 0.01, 50), -77.6749 + RNG.normal(0, 0.01, 50)
     height = RNG.uniform(100.0, 300.0, 50)
@@ -865,3 +825,7 @@ def test_local_frame_is_that_of_proj() -> None:
         frame.geodetic(made), (latitude, longitude, height), (1e-11, 1e-11, 1e-7), strict=True
     ):
         np.testing.assert_allclose(value, wanted, atol=within, rtol=0)
+    # zone of a place
+    zones = [TransverseMercator.of(43.0, longitude).zone for longitude in (-180.0, -77.7, 0.0, 179.9)]
+    assert zones == [1, 18, 31, 60]
+    expect_error(ValueError, "-20", lambda: TransverseMercator.of(-20.0, 0.0))
