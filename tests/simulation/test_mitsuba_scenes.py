@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
-from support.refusals import expect_words
+from support.refusals import expect_error, expect_words
 
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.simulation.atmosphere import Atmosphere
@@ -137,8 +137,11 @@ def test_all_that_cannot_be_said_is_listed(tmp_path: Path) -> None:
         to_mitsuba(scene, noon(), tmp_path / "new", wavelength=[650.0, 550.0], fwhm=0.0, samples=0)
     expect_words(str(caught.value), "wavelength-unordered", "fwhm is 0.0", "samples=0", "name-reserved")
     assert not (tmp_path / "new").exists()
-    with pytest.raises(SchemaError, match="spectrum-unknown"):
-        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], paints={"grey": "puce"})
+    expect_error(
+        SchemaError,
+        "spectrum-unknown",
+        lambda: to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], paints={"grey": "puce"}),
+    )
 
 
 @pytest.mark.parametrize("variant", [None, "scalar_rgb"])
@@ -146,11 +149,17 @@ def test_a_variant_without_spectra_is_refused(
     tmp_path: Path, mitsuba: SimpleNamespace, variant: str | None
 ) -> None:
     mitsuba.variant = lambda: variant
-    with pytest.raises(SchemaError, match="variant-unsuitable"):
-        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0])
+    expect_error(
+        SchemaError,
+        "variant-unsuitable",
+        lambda: to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0]),
+    )
 
 
 def test_without_mitsuba_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[oracles\]"):
-        to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], camera=FrameCamera())
+    expect_error(
+        MissingExtraError,
+        r"hyperpaint\[oracles\]",
+        lambda: to_mitsuba(plane(4.0, GREY), noon(), tmp_path, wavelength=[550.0], camera=FrameCamera()),
+    )

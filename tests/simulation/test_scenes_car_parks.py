@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.refusals import expect_words, refusal
+from support.refusals import expect_error, expect_refusals, expect_words
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.car_parks import (
@@ -106,11 +106,18 @@ def test_a_longer_park_holds_the_cars_of_the_shorter() -> None:
             np.testing.assert_array_equal(faces_of(short, one.name), faces_of(long, one.name))
 
 
-def test_the_seed_decides() -> None:
+def test_the_seed_decides_and_every_spectrum_is_known() -> None:
     first, again, other = (car_park(length=15.0, width=16.0, seed=seed, leaves=50) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.vertices, again.vertices)
     np.testing.assert_array_equal(first.face_material, again.face_material)
     assert [one.paint for one in first.instances] != [one.paint for one in other.instances]
+    # every spectrum is known
+    park = car_park(length=25.0, neighbours=NEIGHBOURS, leaves=20)
+    for material in park.materials:
+        assert np.isfinite(spectrum_of(material.spectrum)(np.array([400.0, 1000.0]))).all()
+        if material.flakes is not None:
+            spectrum_of(material.flakes.spectrum)
+    assert {one.kind for one in park.instances} == {"ground", "car", "tree", "wall", "panel", "other"}
 
 
 def test_every_car_has_a_paint_of_its_own() -> None:
@@ -128,15 +135,6 @@ def test_every_car_has_a_paint_of_its_own() -> None:
             } == {own.name}
     for first in (0, 14):
         assert {one.paint for one in cars[first : first + 14]} == set(FOURTEEN)
-
-
-def test_every_spectrum_of_a_park_is_known() -> None:
-    park = car_park(length=25.0, neighbours=NEIGHBOURS, leaves=20)
-    for material in park.materials:
-        assert np.isfinite(spectrum_of(material.spectrum)(np.array([400.0, 1000.0]))).all()
-        if material.flakes is not None:
-            spectrum_of(material.flakes.spectrum)
-    assert {one.kind for one in park.instances} == {"ground", "car", "tree", "wall", "panel", "other"}
 
 
 def test_occupancy_is_the_share_of_bays_taken() -> None:
@@ -164,8 +162,8 @@ def test_cars_stand_in_their_bays_and_not_in_one_another() -> None:
     boxes = []
     for one in park.instances:
         if one.kind == "car":
-            low, high = (faces_of(park, one.name).reshape(-1, 3)[:, :2] for _ in range(2))
-            low, high = low.min(axis=0), high.max(axis=0)
+            corners = faces_of(park, one.name).reshape(-1, 3)[:, :2]
+            low, high = corners.min(axis=0), corners.max(axis=0)
             assert (
                 abs(0.5 * (low[1] + high[1]) - ((int(one.name.removeprefix("car_")) // 4 + 0.5) * 2.5)) < 0.35
             )
@@ -212,40 +210,39 @@ def test_the_ground_covers_everything_once(length: float, width: float) -> None:
         assert count_over(ground, x, y, -0.06, -0.04) == 1  # the sheet beneath
 
 
-def test_what_lies_on_the_asphalt_does_not_lie_in_it() -> None:
-    for mesh in worn(strips_across(60.0, 32.0, None, margin=12.0, line_width=0.12, islands=True), 3):
-        assert mesh.vertices[:, 2].min() >= 0.003
-
-
 def test_sixteen_metres_are_the_strips_of_the_plan_view() -> None:
     layout = strips_across(20.0, 16.0, None, margin=12.0, line_width=0.12, islands=False)
     np.testing.assert_allclose(np.array(layout.rows) + 8.0, [[1.4, 6.4], [10.9, 15.9]])
     np.testing.assert_allclose(np.array(layout.kerb) + 8.0, [1.0, 1.3])
     assert layout.bays == 8
+    # what lies on the asphalt does not lie in it
+    for mesh in worn(strips_across(60.0, 32.0, None, margin=12.0, line_width=0.12, islands=True), 3):
+        assert mesh.vertices[:, 2].min() >= 0.003
 
 
 def test_problems_of_a_park_are_listed() -> None:
-    with pytest.raises(SchemaError) as caught:
-        car_park(
-            length=0.0, occupancy=1.5, types=["tank"], neighbours=["sea"], seed=-1, line_width=0.0, leaves=-1,
-            margin=np.nan, paints=[],
-        )  # fmt: skip
+    wrong = {
+        "length": 0.0, "occupancy": 1.5, "types": ["tank"], "neighbours": ["sea"], "seed": -1,
+        "line_width": 0.0, "leaves": -1, "margin": np.nan, "paints": [],
+    }  # fmt: skip
     expect_words(
-        str(caught.value),
-        "length=0.0",
-        "occupancy",
-        "'tank'",
-        "'sea'",
-        "seed",
-        "line_width",
-        "leaves",
-        "margin",
-        "empty-input",
+        str(expect_error(SchemaError, None, lambda: car_park(**wrong))),
+        *(
+            "length=0.0",
+            "occupancy",
+            "'tank'",
+            "'sea'",
+            "seed",
+            "line_width",
+            "leaves",
+            "margin",
+            "empty-input",
+        ),
     )
-    with refusal(SchemaError, "car-park-too-narrow", "69.0 m "):
-        car_park(rows=9)
-    with pytest.raises(SchemaError, match=r"11.*car-park-too-narrow"):
-        car_park(width=8.0)
+    expect_refusals(
+        (SchemaError, "car-park-too-narrow", "69.0 m ", lambda: car_park(rows=9)),
+        (SchemaError, "car-park-too-narrow", "11", lambda: car_park(width=8.0)),
+    )
 
 
 @pytest.mark.parametrize("names", [np.array(["red", "blue"]), dict.fromkeys(("red", "blue")).keys()])

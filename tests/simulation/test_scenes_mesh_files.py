@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from support.refusals import expect_errors
+from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Material
@@ -181,9 +181,7 @@ def test_an_open_mesh_is_fine_and_triangles_without_area_are_dropped(tmp_path: P
         with pytest.warns(PaintWarning, match="triangle-without-area"):
             scene = read_mesh(written(tmp_path, "open.obj", text), default=GREY, crease=crease)
         assert len(scene.faces) == 1
-
-
-def test_flat_unless_smooth(tmp_path: Path) -> None:
+    # flat unless smooth
     assert not read_mesh(written(tmp_path, "box.obj", OBJ), default=GREY, crease=None).normals.any()
 
 
@@ -211,8 +209,7 @@ def test_flat_unless_smooth(tmp_path: Path) -> None:
     ],
 )
 def test_a_broken_obj_is_named(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(FormatError, match=words):
-        read_mesh(written(tmp_path, "broken.obj", text), default=GREY)
+    expect_error(FormatError, words, lambda: read_mesh(written(tmp_path, "broken.obj", text), default=GREY))
 
 
 INDICES = {"bufferView": 0, "componentType": 5123, "count": 36, "type": "SCALAR"}
@@ -251,16 +248,20 @@ DRACO = "KHR_draco_mesh_compression"
 def test_a_glb_that_lies_is_refused(
     tmp_path: Path, trimesh: Any, changes: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(FormatError, match=words):
-        read_mesh(written(tmp_path, "lies.glb", glb(changes)), default=GREY)
+    expect_error(
+        FormatError, words, lambda: read_mesh(written(tmp_path, "lies.glb", glb(changes)), default=GREY)
+    )
 
 
 def test_numbers_beyond_the_vertices_of_a_glb_are_refused(tmp_path: Path, trimesh: Any) -> None:
     indices = FACES.astype("<u2").tobytes()
-    with pytest.raises(FormatError):
-        read_mesh(
+    expect_error(
+        FormatError,
+        None,
+        lambda: read_mesh(
             written(tmp_path, "beyond.glb", glb().replace(indices, b"\xff\x00" + indices[2:])), default=GREY
-        )
+        ),
+    )
     for drop in (1, 40, 150, 300, 900):
         with pytest.raises(FormatError, match="file-truncated"):
             read_mesh(written(tmp_path, "cut.glb", glb(drop=drop)), default=GREY)
@@ -293,8 +294,7 @@ BEYOND = ply().replace(FACES[0].astype("<i4").tobytes(), np.array([0, 2, 99], "<
     ],
 )
 def test_a_ply_that_lies_is_refused(tmp_path: Path, trimesh: Any, data: bytes, words: str) -> None:
-    with pytest.raises(FormatError, match=words):
-        read_mesh(written(tmp_path, "lies.ply", data), default=GREY)
+    expect_error(FormatError, words, lambda: read_mesh(written(tmp_path, "lies.ply", data), default=GREY))
 
 
 @given(st.integers(0, 3), st.binary(max_size=12), st.data())
@@ -319,34 +319,33 @@ def test_parsers_are_total(parse: Any, data: bytes) -> None:
         parse(data, "x")
 
 
-def test_unknown_and_missing_files_are_refused(tmp_path: Path) -> None:
+def test_unknown_missing_and_too_large_files_are_refused(tmp_path: Path) -> None:
     expect_errors(
         (FormatError, r"\.stl.*format-unknown", lambda: read_mesh(tmp_path / "x.stl")),
         (FormatError, r"x\.obj", lambda: read_mesh(tmp_path / "x.obj")),
     )
-
-
-def test_a_file_too_large_is_not_read(tmp_path: Path) -> None:
+    # too large to be read
     path = tmp_path / "large.obj"
     with path.open("wb") as file:
         file.truncate(2**30 + 1)  # sparse
-    with pytest.raises(FormatError, match="1073741824"):
-        read_mesh(path)
+    expect_error(FormatError, "1073741824", lambda: read_mesh(path))
 
 
 @pytest.mark.parametrize(("name", "data"), [("a.glb", glb()), ("b.ply", ply())])
 def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, data: bytes) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[mesh\]"):
-        read_mesh(written(tmp_path, name, data), default=GREY)
+    expect_error(
+        MissingExtraError,
+        r"hyperpaint\[mesh\]",
+        lambda: read_mesh(written(tmp_path, name, data), default=GREY),
+    )
     assert len(read_mesh(written(tmp_path, "c.obj", OBJ), default=GREY).faces) == 12
 
 
 @pytest.mark.parametrize("options", [{}, {"unit": 1e300}, {"crease": None}])
 def test_a_mesh_of_another_world_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
     path = written(tmp_path, "far.obj", "v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\n")
-    with pytest.raises(FormatError, match="vertex-too-far"):
-        read_mesh(path, default=GREY, **options)
+    expect_error(FormatError, "vertex-too-far", lambda: read_mesh(path, default=GREY, **options))
 
 
 def test_normals_of_a_fan_take_time_with_its_triangles() -> None:

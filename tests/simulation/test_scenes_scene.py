@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
-from support.refusals import expect_words
+from support.refusals import expect_error, expect_words
 from support.traced_scenes import irradiance_series
 
 import hyperpaint as hp
@@ -72,6 +72,14 @@ def test_arrays_have_the_dtypes_of_the_contract() -> None:
     assert (scene.face_material.dtype, scene.face_instance.dtype) == (np.int32, np.int32)
     assert (scene.face_part.dtype, scene.normals.shape) == (np.int8, (3, 3))
     assert not scene.normals.any()
+    # no triangles are a scene
+    empty = Scene.join([])
+    assert (empty.vertices.shape, empty.faces.shape) == ((0, 3), (0, 3))
+    assert np.isnan(empty.bounds).all()
+    assert empty.area.shape == (0,)
+    # factors are bases, then flakes
+    two = Scene.join([plane(1.0, RED), box((1, 1, 1), GREY)])
+    assert two.factors == (Factor(0), Factor(1), Factor(0, True))
 
 
 def test_all_problems_are_listed_at_once() -> None:
@@ -84,11 +92,8 @@ def test_all_problems_are_listed_at_once() -> None:
         materials=(GREY, Material("grey", "panel_50", "panel")),
         instances=(Instance("thing", "spaceship"), Instance("")),
     )
-    with pytest.raises(SchemaError) as caught:
-        Scene(**broken)
-    message = str(caught.value)
     expect_words(
-        message,
+        str(expect_error(SchemaError, None, lambda: Scene(**broken))),
         "vertices 0 (1 of 3)",
         "faces has numbers from 0 to 3",
         "face_material has numbers from 2 to 2",
@@ -114,8 +119,7 @@ def test_all_problems_are_listed_at_once() -> None:
     ],
 )
 def test_a_problem_is_named(change: dict[str, object], words: str) -> None:
-    with pytest.raises(SchemaError, match=words):
-        Scene(**whole(**change))
+    expect_error(SchemaError, words, lambda: Scene(**whole(**change)))
 
 
 def test_triangles_without_area_are_dropped_with_their_labels() -> None:
@@ -142,13 +146,6 @@ def test_size_does_not_decide_what_has_area(scale: float, shift: float) -> None:
         assert len(Scene(**whole(vertices=scale * np.array(TRIANGLE) + scale * shift)).faces) == 1
 
 
-def test_no_triangles_are_a_scene() -> None:
-    empty = Scene.join([])
-    assert (empty.vertices.shape, empty.faces.shape) == ((0, 3), (0, 3))
-    assert np.isnan(empty.bounds).all()
-    assert empty.area.shape == (0,)
-
-
 def test_joining_merges_equal_materials_and_keeps_what_each_triangle_is() -> None:
     parts = [plane(2.0, GREY), box((1, 1, 1), RED, instance="one"), box((1, 1, 1), GREY, instance="two")]
     scene = Scene.join(parts, "lot")
@@ -160,16 +157,8 @@ def test_joining_merges_equal_materials_and_keeps_what_each_triangle_is() -> Non
     np.testing.assert_array_equal(
         scene.vertices[scene.faces], np.concatenate([part.vertices[part.faces] for part in parts])
     )
-
-
-def test_joining_keeps_the_names_of_instances() -> None:
     twice = Scene.join([box((1, 1, 1), GREY, instance=name) for name in ("a_box", "b_box")])
     assert [one.name for one in twice.instances] == ["a_box", "b_box"]
-
-
-def test_factors_are_bases_then_flakes() -> None:
-    scene = Scene.join([plane(1.0, RED), box((1, 1, 1), GREY)])
-    assert scene.factors == (Factor(0), Factor(1), Factor(0, True))
 
 
 def test_moving_turns_clockwise_about_the_vertical() -> None:
@@ -203,9 +192,7 @@ def test_smooth_normals_of_a_tube_are_radial_and_its_ends_stay_sharp() -> None:
     flat = np.abs(pipe.normals[:, 2]) > 0.5
     np.testing.assert_allclose(np.abs(pipe.normals[flat, 2]), 1.0)
     np.testing.assert_allclose(pipe.normals[~flat, :2], pipe.vertices[~flat, :2] / 0.5, atol=2e-3)
-
-
-def test_smoothing_keeps_triangles_where_they_are() -> None:
+    # smoothing keeps triangles where they are
     mesh = put_together(
         [cuboid((1, 1, 1), "a", "roof"), polygon([[0, 0, 2], [1, 0, 2], [0, 1, 2]], "b", "boot")]
     )
@@ -325,14 +312,12 @@ def test_refused(
     arguments: tuple[Any, ...],
     options: dict[str, Any],
 ) -> None:
-    with pytest.raises(kind, match=words):
-        call(*arguments, **options)
+    expect_error(kind, words, lambda: call(*arguments, **options))
 
 
 def test_all_problems_of_a_material_at_once() -> None:
-    with pytest.raises(SchemaError) as caught:
-        Material("", "", "cheese", flakes=Flakes(0.5))
-    expect_words(str(caught.value), "name is empty", "spectrum is empty", "'cheese'", "coat-missing")
+    error = expect_error(SchemaError, None, lambda: Material("", "", "cheese", flakes=Flakes(0.5)))
+    expect_words(str(error), "name is empty", "spectrum is empty", "'cheese'", "coat-missing")
     # labels count on the order of kinds
     assert KINDS[:3] == ("asphalt", "paint", "glass")
     assert len(set(KINDS)) == len(KINDS) == 13

@@ -12,6 +12,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 from support.traced_scenes import LOW_SUN, SUN, flight, two_cars
 
 import hyperpaint as hp
@@ -72,17 +73,14 @@ def test_the_same_bits_whatever_the_chunks(
         xr.testing.assert_identical(traced(chunk_lines).compute(), whole)
 
 
-def test_another_seed_another_draw(whole: xr.Dataset) -> None:
-    assert (traced(seed=4).transport_weight.values != whole.transport_weight.values).any()
-
-
-def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
+def test_a_block_is_what_the_dataset_holds_and_another_seed_another_draw(whole: xr.Dataset) -> None:
     prepared = relighting.prepare_scene(two_cars(), TraceSettings([SUN, LOW_SUN], **SETTINGS))
     np.testing.assert_allclose(prepared.sources.sun_radius, np.radians([0.27, 0.27]))
     block = relighting.trace_block(prepared, flight(), 5, 9)
     np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
     np.testing.assert_array_equal(block.code, whole.transport_path.values[5:9])
     np.testing.assert_array_equal(block.position[:, 2], whole.up.values[5:9])
+    assert (traced(seed=4).transport_weight.values != whole.transport_weight.values).any()
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
@@ -200,21 +198,18 @@ def test_suns_may_be_atmospheres_or_their_names() -> None:
 )
 def test_settings_out_of_range(wrong: dict[str, Any], found: str) -> None:
     suns = wrong.pop("suns", [SUN])
-    with pytest.raises(SchemaError, match=found):
-        hp.simulation.trace(two_cars(), flight(1, 1), suns, **wrong)
+    expect_error(SchemaError, found, lambda: hp.simulation.trace(two_cars(), flight(1, 1), suns, **wrong))
 
 
-def test_all_problems_at_once() -> None:
-    with pytest.raises(SchemaError) as caught:
-        hp.simulation.trace(plane(), flight(1, 1), [(95.0, 0.0)], samples=0, slots=0)
-    assert str(caught.value).count("\n") == 3
-
-
-def test_too_many_spectra_for_the_depth() -> None:
+def test_all_problems_at_once_and_too_many_spectra_for_the_depth() -> None:
+    wrong = {"suns": [(95.0, 0.0)], "samples": 0, "slots": 0}
+    error = expect_error(SchemaError, None, lambda: hp.simulation.trace(plane(), flight(1, 1), **wrong))
+    assert str(error).count("\n") == 3
     many = [Material(f"m{number}", "asphalt", "asphalt") for number in range(300)]
     scene = Scene.join([plane(1.0, material, instance=f"i{n}") for n, material in enumerate(many)])
-    with pytest.raises(SchemaError, match="path-code-too-long"):
-        hp.simulation.trace(scene, flight(1, 1), [SUN], depth=7)
+    expect_error(
+        SchemaError, "path-code-too-long", lambda: hp.simulation.trace(scene, flight(1, 1), [SUN], depth=7)
+    )
 
 
 def test_a_store_holds_a_traced_scene(tmp_path: Path, whole: xr.Dataset, no_compute: Any) -> None:

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from support.refusals import expect_error
 from support.transport_scenes import COMPILED, QUAD, ground
 
 from hyperpaint.simulation.transport.hierarchy import STACK, Geometry, build_geometry, closest, occluded
@@ -187,8 +188,7 @@ def test_hostile_geometry_is_refused(change: dict, words: str) -> None:
         "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]], "normals": [],
         "face_material": [0], "face_instance": [0],
     } | change  # fmt: skip
-    with pytest.raises(ValueError, match=words):
-        build_geometry(**given)
+    expect_error(ValueError, words, lambda: build_geometry(**given))
 
 
 @pytest.mark.skipif(not COMPILED, reason="a million triangles want a compiler")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.refusals import expect_error, expect_errors
 from support.transport_scenes import COMPILED
 
 from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
@@ -80,14 +81,21 @@ def test_what_does_not_fit_is_refused(change: dict, words: str) -> None:
         "weight": np.ones((1, 2, 3), np.float32), "index": np.zeros((1, 2, 3), np.int32),
         "table": np.ones((5, 4), np.float32), "out": np.empty((1, 4, 3), np.float32),
     } | change  # fmt: skip
-    with pytest.raises(ValueError, match=words):
-        mix(**given)
+    expect_error(ValueError, words, lambda: mix(**given))
 
 
 def test_nodes_outside_the_table_are_refused() -> None:
     weight, index = np.ones((1, 1, 2), np.float32), np.zeros((1, 1, 2), np.int32)
     table, out = np.ones((4, 1, 3)), np.empty((1, 3, 2), np.float32)
-    with pytest.raises(ValueError, match="nodes up to 4"):
-        mix_shifted(weight, index, table, np.array([0, 1]), np.ones((2, 4)), out)
-    with pytest.raises(ValueError, match="for 2 columns"):
-        mix_shifted(weight, index, table, np.array([0]), np.ones((2, 4)), out)
+    expect_errors(
+        (
+            ValueError,
+            "nodes up to 4",
+            lambda: mix_shifted(weight, index, table, np.array([0, 1]), np.ones((2, 4)), out),
+        ),
+        (
+            ValueError,
+            "for 2 columns",
+            lambda: mix_shifted(weight, index, table, np.array([0]), np.ones((2, 4)), out),
+        ),
+    )

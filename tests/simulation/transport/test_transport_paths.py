@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from support.refusals import expect_error, expect_errors
 from support.transport_scenes import (
     COMPILED,
     QUAD,
@@ -287,19 +288,26 @@ def test_what_loops_would_run_wild_on_is_refused(change: dict, words: str) -> No
         "geometry": joined((ground(), QUAD, 1)), "surfaces": materials(None, None), "sources": suns(),
         "rays": nadir(1, 2, width=1.0),
     } | change  # fmt: skip
-    with pytest.raises(ValueError, match=words):
-        traced(**given)
+    expect_error(ValueError, words, lambda: traced(**given))
 
 
 def test_all_faults_are_told_at_once() -> None:
     rays = nadir(1, 2, width=1.0)
     rays.origin[:] = np.nan
-    with pytest.raises(ValueError, match=r"finite.*block.weight"):
-        trace_lines(
-            joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), Block.empty(1, 4, 3, 0)
-        )
-    with pytest.raises(ValueError, match="materials 3 to 3 of 1"):
-        traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0))
+    expect_errors(
+        (
+            ValueError,
+            r"finite.*block.weight",
+            lambda: trace_lines(
+                joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), Block.empty(1, 4, 3, 0)
+            ),
+        ),
+        (
+            ValueError,
+            "materials 3 to 3 of 1",
+            lambda: traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0)),
+        ),
+    )
 
 
 #: Known answers of the authors' library Random123 1.09, kat_vectors, "philox4x32 10".
