@@ -55,9 +55,3 @@ def specular_fraction(material: Any) -> float | None:
     properties = surface.section("EMISSIVITY_PROP") if surface else None
     text = properties.get("SPECULAR_FRACTION") if properties else None
     return None if text is None else float(text)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }

@@ -11,7 +11,8 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 from oracles.fresnel import plain_fresnel
-from support.dirsig_exports import files, strict_ems
+from support.dirsig_exports import strict_ems
+from support.folders import contents
 from support.refusals import expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
@@ -335,7 +336,7 @@ def test_a_bad_element_stops_nothing(tmp_path: Path) -> None:
 def test_an_export_is_replaced_only_when_asked(tmp_path: Path) -> None:
     paints = library(["red", "asphalt"], 5)
     write_dirsig_scene(boxes(), tmp_path / "out", paints)
-    before = files(tmp_path / "out")
+    before = contents(tmp_path / "out")
     expect_errors((StoreError, "overwrite", lambda: write_dirsig_scene(boxes(), tmp_path / "out", paints)))
     write_dirsig_scene(boxes(), tmp_path / "out", paints, overwrite=True)
-    assert files(tmp_path / "out") == before  # the same bytes
+    assert contents(tmp_path / "out") == before  # the same bytes

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.dirsig_exports import BANDS, NM, files, library, specular_fraction, strict_ems
+from support.dirsig_exports import BANDS, NM, library, specular_fraction, strict_ems
+from support.folders import contents
 from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
@@ -91,12 +92,12 @@ def test_write_read_write_is_byte_stable(tmp_path: Path) -> None:
     hp.write_dirsig(library(), tmp_path / "one")
     parts = [open_emissivity(tmp_path / f"one/emissivity/paint_{number}.ems") for number in range(3)]
     hp.write_dirsig(xr.concat(parts, "signature"), tmp_path / "two")
-    first, second = files(tmp_path / "one"), files(tmp_path / "two")
+    first, second = contents(tmp_path / "one"), contents(tmp_path / "two")
     for name in first:
         if name.endswith(".ems"):
             assert first[name] == second[name]
     hp.write_dirsig(library(), tmp_path / "three")
-    assert files(tmp_path / "three") == first
+    assert contents(tmp_path / "three") == first
 
 
 @settings(max_examples=12)
@@ -202,9 +203,9 @@ def test_other_units_and_order_give_the_same_bytes(tmp_path: Path) -> None:
     hp.write_dirsig(percent, tmp_path / "percent")
     turned = paints.transpose("band", "member", "quantile", "signature").chunk({"signature": 1})
     hp.write_dirsig(turned, tmp_path / "turned")
-    plain = files(tmp_path / "plain")
+    plain = contents(tmp_path / "plain")
     for name in ("backwards", "micro", "percent", "turned"):
-        assert files(tmp_path / name) == plain, name
+        assert contents(tmp_path / name) == plain, name
 
 
 def members(number: int, rows: Any = slice(None)) -> Callable[[xr.Dataset], np.ndarray]:
@@ -540,9 +541,9 @@ def test_ids_of_the_scene_are_not_used_again(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
-    before = files(out)
+    before = contents(out)
     expect_errors((StoreError, "overwrite=True", lambda: hp.write_dirsig(library(seed=1), out)))
-    assert files(out) == before
+    assert contents(out) == before
     hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
     assert not (out / "emissivity/paint_2.ems").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -554,7 +555,7 @@ def test_files_of_others_are_never_replaced(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("precious")
     (tmp_path / "link").symlink_to(tmp_path / "scene")
-    before = files(tmp_path)
+    before = contents(tmp_path)
     for name, message in (
         ("out", r"thesis\.txt"),
         ("scene", "folder-occupied"),
@@ -563,7 +564,7 @@ def test_files_of_others_are_never_replaced(tmp_path: Path) -> None:
     ):
         with pytest.raises(StoreError, match=message):
             hp.write_dirsig(library(), tmp_path / name, overwrite=True)
-    assert files(tmp_path) == before
+    assert contents(tmp_path) == before
     (tmp_path / "empty").mkdir()
     hp.write_dirsig(library(), tmp_path / "empty")
 
@@ -571,7 +572,7 @@ def test_files_of_others_are_never_replaced(tmp_path: Path) -> None:
 def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
-    before = files(out)
+    before = contents(out)
 
     def stop(done: int, _: int) -> None:
         raise KeyboardInterrupt
@@ -579,14 +580,14 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
     expect_error(
         KeyboardInterrupt, None, lambda: hp.write_dirsig(library(seed=1), out, overwrite=True, progress=stop)
     )
-    assert (files(out), [path.name for path in tmp_path.iterdir()]) == (before, ["out"])
+    assert (contents(out), [path.name for path in tmp_path.iterdir()]) == (before, ["out"])
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("hyperpaint.io.files.publishing.flush_group", full)
     expect_errors((StoreError, "disk-full", lambda: hp.write_dirsig(library(seed=1), out, overwrite=True)))
-    assert (files(out), [path.name for path in tmp_path.iterdir()]) == (before, ["out"])
+    assert (contents(out), [path.name for path in tmp_path.iterdir()]) == (before, ["out"])
 
 
 @pytest.mark.slow
@@ -610,13 +611,13 @@ def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: 
     steps: list[tuple[int, int]] = []
     hp.write_dirsig(library(paints=7).chunk({"signature": 3}), tmp_path / "two",
                     progress=lambda *step: steps.append(step))  # fmt: skip
-    assert (steps, files(tmp_path / "one")) == ([(3, 7), (6, 7), (7, 7)], files(tmp_path / "two"))
+    assert (steps, contents(tmp_path / "one")) == ([(3, 7), (6, 7), (7, 7)], contents(tmp_path / "two"))
     # coordinates may have other blocks than spectra
     places = ("signature", da.arange(7.0, chunks=7))
     hp.write_dirsig(library(paints=7).assign_coords(place=places).chunk({"band": 5}), tmp_path / "three")
     mixed = library(paints=7).chunk({"signature": 3}).assign_coords(place=places)
     hp.write_dirsig(mixed, tmp_path / "four")
-    assert files(tmp_path / "three") == files(tmp_path / "four")
+    assert contents(tmp_path / "three") == contents(tmp_path / "four")
 
 
 def test_the_marker_does_not_depend_on_the_order_of_coordinates(tmp_path: Path) -> None:
