@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 from support.wobbly_flights import Flight
 from support.wrong_declarations import DECLARED
 
@@ -133,8 +133,7 @@ def test_a_steady_line_does_not_part_pitch_from_clock() -> None:
 def test_points_in_one_column_do_not_tell_the_heading(column: float, named: str) -> None:
     flown = flights(1, "none")
     points = true_points(flown, 1, 12, column)
-    with pytest.raises(SchemaError, match=named):
-        solved(flown, points, solve=("roll", "pitch", "heading"))
+    expect_error(SchemaError, named, lambda: solved(flown, points, solve=("roll", "pitch", "heading")))
 
 
 def test_one_line_alone_and_what_was_flown_is_located() -> None:
@@ -186,6 +185,12 @@ def test_what_cannot_be_is_refused() -> None:
             solved(flown, wrong, **options)
     with pytest.raises(ValueError, match="unpack"):  # one number would be taken for all three axes
         solved(flown, points, lever_arm=(0.5,))
+    # what fits nothing
+    flown = flights(2)
+    told: dict[str, Any] = {"solve": ("roll", "pitch", "heading"), "clock_offset_s": CLOCK + 0.3}
+    points = picked(true_points(flown, 0), 1)
+    expect_refusals((SchemaError, "control-points-misfit", lambda: solved(flown, points, **told)))
+    assert solved(flown, points, largest_picking_sd=1000.0, **told).picking_sd > 3.0
 
 
 @pytest.mark.parametrize("late", [-1.0, -0.3, 0.7])
@@ -196,14 +201,6 @@ def test_a_clock_that_begins_with_another_swing_is_found(late: float) -> None:
     found = solved(flown, picked(true_points(flown, 0), 1), clock_offset_s=CLOCK + late)
     assert (np.abs(errors(found)) < LIMITS).all()
     assert found.picking_sd < 0.5
-
-
-def test_what_fits_nothing_is_refused() -> None:
-    flown = flights(2)
-    told: dict[str, Any] = {"solve": ("roll", "pitch", "heading"), "clock_offset_s": CLOCK + 0.3}
-    points = picked(true_points(flown, 0), 1)
-    expect_refusals((SchemaError, "control-points-misfit", lambda: solved(flown, points, **told)))
-    assert solved(flown, points, largest_picking_sd=1000.0, **told).picking_sd > 3.0
 
 
 @pytest.mark.parametrize(("field", "by"), [("east", 1e5), ("height", 5000.0)])

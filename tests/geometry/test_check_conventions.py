@@ -158,9 +158,6 @@ def test_shifts_of_rows_are_measured_to_a_tenth_of_a_pixel() -> None:
 # --- clocks that are known to be apart; and cases in which nobody can tell ----------------------------------
 
 
-pytest.importorskip("pyproj")
-
-
 def by_attitude(flight: Flight, **changes: object) -> ClockOffset:
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     told = {"convention": DECLARED, "camera": camera, "ground": flight.ground, "max_offset_s": 0.6}
@@ -185,9 +182,7 @@ def test_a_steady_platform_and_an_offset_beyond_the_search_are_refused() -> None
         (TimeError, "motion-too-small", lambda: by_attitude(steady)),
         (TimeError, "motion-mismatch", lambda: by_attitude(late, max_offset_s=0.2)),
     )
-
-
-def test_a_record_of_another_day_is_refused() -> None:
+    # a record of another day
     flight = Flight(seed=1, lines=100)
     nav = flight.navigation()
     nav = nav.assign_coords(navigation_time=nav.navigation_time + np.timedelta64(1, "D"))
@@ -262,7 +257,7 @@ def test_a_line_without_a_time_near_the_record_gives_no_finding(moved: np.timede
     assert navigation_findings({"raw_0": xr.merge([line, record])}) == []
 
 
-def test_flat_light_and_clouds_elsewhere_are_refused() -> None:
+def test_flat_light_clouds_elsewhere_and_other_than_one_record_are_refused() -> None:
     line, flat = lit(0.0, 0.0, 0)
     _, other = lit(0.0, 0.5, 3)
     expect_refusals(
@@ -273,16 +268,13 @@ def test_flat_light_and_clouds_elsewhere_are_refused() -> None:
             lambda: estimate_clock_offset(line, irradiance=other, max_offset_s=8.0),
         ),
     )
-
-
-def test_one_record_is_asked_for() -> None:
-    line, record = lit(0.0, 0.5, 0)
+    # one record is asked for
     expect_refusals(
         (SchemaError, "option-conflict", lambda: estimate_clock_offset(line)),
         (
             SchemaError,
             "value-out-of-range",
             "max_offset_s",
-            lambda: estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0),
+            lambda: estimate_clock_offset(line, irradiance=other, max_offset_s=-1.0),
         ),
     )

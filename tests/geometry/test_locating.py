@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
+import shapely
 import xarray as xr
 from scipy.spatial.transform import Rotation
 from support.geocentric_rays import LEFT_TO_RIGHT, PERIOD, UTM, exact_places, flown, level, recorded
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -116,6 +117,9 @@ def test_map_north_and_scale() -> None:
     made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
     across = np.degrees(np.arctan2(made.east[:, 4] - made.east[:, 0], made.north[:, 4] - made.north[:, 0]))
     assert np.abs((across.values - found - 90 + 180) % 360 - 180).max() < 1e-4
+    for stretched in ("EPSG:3857", "EPSG:32612"):
+        with pytest.warns(PaintWarning, match="crs-distorted"):
+            hp.geometry.locate(flown(5, 5), ground=0.0, crs=stretched, camera=CAMERA)
     # and 1 km on the ground is 1 km less the map's scale; back to degrees within 1 mm
     geod = pyproj.Geod(ellps="WGS84")
     far_lon, far_lat, _ = geod.fwd([-80.2], [34.0], [37.0], [1000.0])
@@ -206,7 +210,7 @@ def test_pinholes_by_hand() -> None:
 # --- what has no place -------------------------------------------------------------------------------------
 
 
-def test_rays_to_the_horizon_and_above() -> None:
+def test_rays_to_the_horizon_and_lines_without_a_pose() -> None:
     line = flown(5, 5, roll=[0.0, 69.5, 70.5, 110.0, 180.0], pitch=0, heading=0)
     made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
     # column 0 looks 20 degrees to the left, roll turns it further
@@ -217,15 +221,7 @@ def test_rays_to_the_horizon_and_above() -> None:
     np.testing.assert_array_equal((made.quality & Quality.OFF_SWATH) > 0, np.isnan(made.east))
     with pytest.warns(PaintWarning, match="ground-not-seen"):  # underground
         assert np.isnan(hp.geometry.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()
-
-
-@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:32612"])
-def test_a_map_that_stretches_the_ground_is_warned_of(crs: str) -> None:
-    with pytest.warns(PaintWarning, match="crs-distorted"):
-        hp.geometry.locate(flown(5, 5), ground=0.0, crs=crs, camera=CAMERA)
-
-
-def test_lines_without_a_pose() -> None:
+    # lines without a pose
     line = flown(6, 5)
     line["roll"][1] = np.nan
     line["latitude"][2] = np.nan
@@ -244,7 +240,7 @@ def test_lines_without_a_pose() -> None:
 # --- what it promises --------------------------------------------------------------------------------------
 
 
-def test_names_units_and_dtypes() -> None:
+def test_names_units_and_dtypes(tmp_path: Path) -> None:
     line = flown(40, 5)
     made = hp.geometry.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
     for state in (made, made.compute()):
@@ -260,6 +256,11 @@ def test_names_units_and_dtypes() -> None:
     assert set(line.coords) <= set(made.coords)
     xr.testing.assert_identical(made.counts.drop_vars(made.coords), line.counts.drop_vars(line.coords))
     xr.testing.assert_identical(line.paint.locate(ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1)), made)
+    # and survive a store
+    hp.to_store(made, tmp_path / "lot.zarr", "flightlines/raw_0")
+    opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
+    np.testing.assert_array_equal(opened.east, made.east)
+    assert (Convention.from_attrs(opened.attrs), opened.east.attrs["crs"]) == (LEFT_TO_RIGHT, UTM)
 
 
 def test_nothing_is_computed_until_asked(no_compute: Callable[[], Any]) -> None:
@@ -311,14 +312,6 @@ def test_it_may_be_located_again() -> None:
     again = hp.geometry.locate(once, ground=0.0, camera=CAMERA)
     np.testing.assert_allclose(again.east, once.east, rtol=0, atol=1e-9)
     np.testing.assert_allclose(again["roll"], flown(20, 5)["roll"], rtol=0, atol=1e-12)
-
-
-def test_it_survives_a_store(tmp_path: Path) -> None:
-    made = hp.geometry.locate(flown(20, 5), ground=0.0, camera=CAMERA)
-    hp.to_store(made, tmp_path / "lot.zarr", "flightlines/raw_0")
-    opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
-    np.testing.assert_array_equal(opened.east, made.east)
-    assert (Convention.from_attrs(opened.attrs), opened.east.attrs["crs"]) == (LEFT_TO_RIGHT, UTM)
 
 
 def test_other_navigation_than_the_line_knows() -> None:
@@ -381,11 +374,13 @@ def test_what_cannot_be_is_said_at_once() -> None:
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(MissingExtraError, match=r"\[geo\].*extra-missing"):
-        hp.geometry.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618")
+    expect_error(
+        MissingExtraError,
+        r"\[geo\].*extra-missing",
+        lambda: hp.geometry.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618"),
+    )
     monkeypatch.setitem(sys.modules, "shapely", None)
-    with pytest.raises(MissingExtraError, match=r"\[geo\].*extra-missing"):
-        hp.geometry.footprint(xr.Dataset())
+    expect_error(MissingExtraError, r"\[geo\].*extra-missing", lambda: hp.geometry.footprint(xr.Dataset()))
 
 
 # --- coverage ----------------------------------------------------------------------------------------------
@@ -402,13 +397,10 @@ def test_spacing_by_hand() -> None:
     assert hp.geometry.spacing(hp.geometry.locate(nodding, ground=0.0, camera=CAMERA))[
         "reversed"
     ] == pytest.approx(0.5)
-    with pytest.raises(SchemaError, match="'east' is missing"):
-        hp.geometry.spacing(line)
+    expect_error(SchemaError, "'east' is missing", lambda: hp.geometry.spacing(line))
 
 
 def test_footprints() -> None:
-    import shapely
-
     line = flown(200, 5, altitude=10.0, roll=0, pitch=0, heading=5)
     located = hp.geometry.locate(line, ground=0.0, camera=CAMERA)
     outline = hp.geometry.footprint(located, crs=UTM)
@@ -429,16 +421,14 @@ def test_footprints() -> None:
     expect_refusals(
         (SchemaError, "ground-not-seen", lambda: hp.geometry.footprint(located.isel(along_track=[0])))
     )
-
-
-def test_a_footprint_across_the_dateline_has_two_parts() -> None:
+    # across the dateline it has two parts
     line = flown(200, 5, altitude=10.0, roll=0, pitch=0, heading=5)
     middle = float(line["longitude"].mean())
     line["longitude"] = line["longitude"] - middle + 180.0
     line["longitude"] = (line["longitude"] + 180.0) % 360.0 - 180.0
-    outline = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))["geometry"]
-    assert outline["type"] == "MultiPolygon"
-    spans = [np.ptp(np.array(rings[0])[:, 0]) for rings in outline["coordinates"]]
+    parts = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))["geometry"]
+    assert parts["type"] == "MultiPolygon"
+    spans = [np.ptp(np.array(rings[0])[:, 0]) for rings in parts["coordinates"]]
     assert len(spans) == 2
     assert max(spans) < 1e-3
 

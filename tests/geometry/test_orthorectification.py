@@ -59,7 +59,7 @@ def test_coordinates_come_back(wobble: str, ground: Any, grid: Any) -> None:
     assert report["gaps"] <= (0 if ground is None else 0.002 * shown.sum())
 
 
-def test_a_line_without_wobble_is_its_own_map() -> None:
+def test_a_line_without_wobble_is_its_own_map_and_which_pixel_is_chosen() -> None:
     flown = fly(40, 30, "none")
     values = np.arange(1200.0).reshape(40, 30)
     line = located(flown, chunk=None, red=(CUBE[::2], values))
@@ -70,6 +70,17 @@ def test_a_line_without_wobble_is_its_own_map() -> None:
     assert made.line_time.dtype == "datetime64[ns]"
     np.testing.assert_array_equal(made.line_time[:, 3], line.time[::-1])
     np.testing.assert_array_equal(made.nearest_line[:, 0], np.arange(40)[::-1])
+    # which of several is chosen
+    flown = fly(120, 30, "none")
+    north = flown.north.copy()
+    north[60:] = north[59::-1]  # turns round half way
+    turning = located(Flown(flown.east, north, flown.up, flown.position, flown.attitude))
+    first, last = (
+        hp.geometry.orthorectify(turning, GSD, variables=[], multi_hit=rule, grid="north").compute().glt_line
+        for rule in ("first", "last")
+    )
+    assert float(first.max()) <= 60
+    assert float(last.min()) >= 59
 
 
 @pytest.mark.parametrize("method", ["nearest", "bilinear"])
@@ -156,7 +167,7 @@ def test_flags_are_joined_and_what_is_missing_does_not_leak() -> None:
     ).all()
 
 
-def test_a_gap_is_empty_flagged_and_counted() -> None:
+def test_gaps_holes_and_single_pixels_are_empty_flagged_and_counted() -> None:
     flown = fly(200, 40, "none")
     lost = flown.east.copy()
     lost[80:120] = np.nan
@@ -179,9 +190,7 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
         line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32), GSD, variables=["red"]
     ).compute()
     assert (made.hits.values == 0).sum() == 40 * 40
-
-
-def test_holes_and_single_pixels() -> None:
+    # holes and single pixels
     flown = fly(60, 40, "rough")
     lost = flown.east.copy()
     lost[10:20, 5:12] = np.nan
@@ -189,22 +198,9 @@ def test_holes_and_single_pixels() -> None:
     made = hp.geometry.orthorectify(
         located(Flown(lost, flown.north, flown.up, flown.position, flown.attitude)), variables=["quality"]
     ).compute()
-    whole = hp.geometry.orthorectify(located(flown), made.attrs["gsd"], variables=["quality"]).compute()
-    assert hp.geometry.map_report(made)["covered"] < hp.geometry.map_report(whole)["covered"]
+    filled = hp.geometry.orthorectify(located(flown), made.attrs["gsd"], variables=["quality"]).compute()
+    assert hp.geometry.map_report(made)["covered"] < hp.geometry.map_report(filled)["covered"]
     assert not (made.quality.values[made.hits.values > 0] & OFF).any()
-
-
-def test_which_of_several_is_chosen() -> None:
-    flown = fly(120, 30, "none")
-    north = flown.north.copy()
-    north[60:] = north[59::-1]  # turns round half way
-    line = located(Flown(flown.east, north, flown.up, flown.position, flown.attitude))
-    first, last = (
-        hp.geometry.orthorectify(line, GSD, variables=[], multi_hit=rule, grid="north").compute().glt_line
-        for rule in ("first", "last")
-    )
-    assert float(first.max()) <= 60
-    assert float(last.min()) >= 59
 
 
 def test_bounds_make_one_grid_for_several_lines() -> None:
@@ -283,6 +279,12 @@ def test_what_comes_along() -> None:
         asked["roll"].values[shown], line["roll"].values[asked.nearest_line.values[shown]]
     )
     np.testing.assert_array_equal(asked["look"].values[shown], asked.nearest_sample.values[shown])
+    # progress is told
+    told: list[tuple[int, int]] = []
+    hp.geometry.orthorectify(
+        located(fly(100, 10)), variables=[], progress=lambda done, of: told.append((done, of))
+    )
+    assert told[-1] == (4, 4)
 
 
 def test_what_cannot_be_mapped_is_named_at_once() -> None:
@@ -338,14 +340,6 @@ def test_places_that_are_kept_have_the_bits_of_those_that_are_not(monkeypatch: p
             patched.setattr("hyperpaint.geometry.orthorectification.mapping._MAX_KEPT_BYTES", 0)
             again = hp.geometry.orthorectify(line, grid=grid, variables=["quality"]).compute()
         xr.testing.assert_identical(kept, again)
-
-
-def test_progress_is_told() -> None:
-    told: list[tuple[int, int]] = []
-    hp.geometry.orthorectify(
-        located(fly(100, 10)), variables=[], progress=lambda done, of: told.append((done, of))
-    )
-    assert told[-1] == (4, 4)
 
 
 # --- A crop of a flight line keeps its numbers: on its map they are the places of the whole line
@@ -446,21 +440,8 @@ def test_tie_points_in_a_crop_are_positions_in_it() -> None:
 pytest.importorskip("pyproj")
 
 
-def test_headings_stay_below_360() -> None:
-    assert Convention().canonical(0.0, 0.0, -1e-20)[2] == 0.0
-    assert angles_of(quaternions(0.0, 0.0, -1e-20))[2] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("crs", "metres"),
-    [
-        ("EPSG:2053", False),  # Hartebeesthoek94 / Lo29: west and south
-        ("EPSG:4326", False),
-        ("EPSG:2225", False),  # feet
-        ("EPSG:32617", True),
-        ("EPSG:3413", True),  # both axes to the south, from the pole
-        ("EPSG:3031", True),
-    ],
-)
-def test_maps_in_metres_east_and_north(crs: str, metres: bool) -> None:
-    assert is_in_metres(crs_of(crs)) is metres
+def test_headings_stay_below_360_and_maps_are_in_metres_east_and_north() -> None:
+    assert Convention().canonical(0.0, 0.0, -1e-20)[2] == angles_of(quaternions(0.0, 0.0, -1e-20))[2] == 0.0
+    # the first has axes west and south, the third is in feet; the last two go to the south, from a pole
+    crs = ("EPSG:2053", "EPSG:4326", "EPSG:2225", "EPSG:32617", "EPSG:3413", "EPSG:3031")
+    assert [is_in_metres(crs_of(each)) for each in crs] == [False] * 3 + [True] * 3

@@ -25,9 +25,7 @@ def test_height_swath_and_aspect_by_hand() -> None:
     # 2 tan(15 deg) x 60 m, and the scale of the map
     assert attrs["swath"] == pytest.approx(2 * 0.2679491924 * 60.0, rel=1e-3)
     assert attrs["pixel_aspect"] == pytest.approx(attrs["spacing_along"] / attrs["spacing_across"])
-
-
-def test_a_ground_above_the_sea_is_noticed() -> None:
+    # a ground above the sea is noticed
     with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible") as caught:
         mapped(98.0)
     assert caught[0].filename == __file__
