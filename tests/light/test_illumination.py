@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
-from support.refusals import expect_errors, refusal
+from support.refusals import expect_error, expect_errors, refusal
 
 from hyperpaint.base.errors import PaintWarning, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import Quality
@@ -35,7 +35,7 @@ def test_position_is_that_of_the_spa(latitude: float, longitude: float) -> None:
     assert np.sqrt(np.mean(off**2 + turn**2)) < 0.006
 
 
-def test_units_of_time_and_missing_stamps() -> None:
+def test_units_of_time_air_mass_and_light_without_sun() -> None:
     stamps = np.array(["2020-06-21T17:15", "NaT"], "datetime64[s]")
     zenith, azimuth = solar_position(stamps, 43.08, -77.67)
     assert zenith[0] == pytest.approx(19.66, abs=0.05)
@@ -43,12 +43,16 @@ def test_units_of_time_and_missing_stamps() -> None:
     for unit in ("ms", "us", "ns"):
         assert solar_position(stamps.astype(f"datetime64[{unit}]"), 43.08, -77.67)[0][0] == zenith[0]
     assert np.isnan(solar_position(stamps[0], np.nan, 0.0)[0])
-
-
-def test_air_mass() -> None:
+    # air mass
     assert air_mass(0.0) == pytest.approx(1.0, abs=1e-3)
     assert air_mass(60.0) == pytest.approx(1.994, abs=2e-3)
     assert air_mass(85.0) == pytest.approx(10.3, abs=0.2)
+    # without sun all light is diffuse
+    for angle in (90.5, 95.0, 120.0, 180.0):
+        np.testing.assert_array_equal(diffuse_fraction([450.0, 850.0], angle), 1.0)
+    rising = [diffuse_fraction([550.0], z)[0] for z in (0.0, 30.0, 60.0, 75.0, 85.0, 89.9)]
+    assert (np.diff(rising) > 0).all()
+    assert rising[-1] <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -58,14 +62,6 @@ def test_air_mass() -> None:
 def test_diffuse_fraction_of_the_notes(zenith: float, expected: list[float]) -> None:
     found = diffuse_fraction([400.0, 450.0, 550.0, 650.0, 850.0], zenith)
     np.testing.assert_allclose(found, expected, atol=0.03)
-
-
-def test_without_sun_all_light_is_diffuse() -> None:
-    for zenith in (90.5, 95.0, 120.0, 180.0):
-        np.testing.assert_array_equal(diffuse_fraction([450.0, 850.0], zenith), 1.0)
-    rising = [diffuse_fraction([550.0], z)[0] for z in (0.0, 30.0, 60.0, 75.0, 85.0, 89.9)]
-    assert (np.diff(rising) > 0).all()
-    assert rising[-1] <= 1.0
 
 
 # --- Irradiance of every band and column: in wavelength, over the smile and on a tilted panel
@@ -101,9 +97,7 @@ def test_match_is_labelled_lazy_and_float32(no_compute: Any) -> None:
     assert made.attrs["units"] == "W m-2 nm-1"
     assert made.misfit.dims == made.noise_gain.dims == made.coverage.dims == ("node", "band")
     np.testing.assert_allclose(made, 1.0, rtol=1e-6)
-
-
-def test_match_takes_other_units_and_orders() -> None:
+    # other units and orders are taken
     spectra = np.random.default_rng(0).uniform(1, 2, (2, 141)).astype("f4")
     plain = match_irradiance(record(spectra), [540.0, 550.0], [6.0, 6.0])
     other = record(spectra[:, ::-1] * 100, SAMPLES[::-1] / 1000).T
@@ -186,9 +180,7 @@ def test_cubics_pass_through_any_cubic() -> None:
     for x, wanted in enumerate([-1.2, 0.3, 0.9]):
         terms = cubics[0, 0, smile.cells[0, np.searchsorted(smile.edges[0], x, side="right") - 1]]
         assert np.polyval(terms[::-1], float(smile.shift[0, x])) == pytest.approx(curve(wanted), abs=1e-6)
-
-
-def test_no_smile_is_one_node() -> None:
+    # no smile is one node
     series = np.arange(6.0).reshape(2, 1, 3)
     for shift in (None, np.zeros(4)):
         smile = smile_cells(shift, 4)
@@ -216,9 +208,7 @@ def test_tilt_closes_to_ten_digits() -> None:
     )
     tilt = Tilt(angle, facing, ground_reflectance=surroundings, diffuse_fraction=diffuse)
     np.testing.assert_allclose(tilt.factor(times, 43.08, -77.67, wavelength), expected, rtol=1e-10)
-
-
-def test_toward_the_sun_is_brighter_as_published() -> None:
+    # towards the sun it is brighter, as published
     time = np.array(["2020-07-15T17:15"], "datetime64[ns]")  # noon in Rochester, zenith near 22 degrees
     toward, away = (
         Tilt(5.0, side).factor(time, 43.08, -77.67, np.array([850.0]))[0, 0] for side in (180.0, 0.0)
@@ -241,8 +231,7 @@ def test_diffuse_light_is_that_of_the_side_it_faces() -> None:
     assert factors["clear", 0.0] < factors["uniform", 0.0] - 0.02
     # a split that was measured may be of any sky: none is assumed
     assert (factors[None, 180.0], Tilt(8.0, 0.0).sky) == (factors["uniform", 180.0], "clear")
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        Tilt(8.0, 0.0, sky="blue")
+    expect_error(SchemaError, "choice-unknown", lambda: Tilt(8.0, 0.0, sky="blue"))
     # at night, the sky is that of a sun at the horizon
     dark = np.array(["2020-12-21T05:00"], "datetime64[ns]")
     assert np.isfinite(Tilt(8.0, 0.0).factor(dark, 43.08, -77.67, nm)).all()
@@ -259,6 +248,13 @@ def test_few_samples_and_gaps() -> None:
     assert np.isnan(light.weight).tolist() == [False, False, True, False]
     # far from 1970 no bit is lost
     assert line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0).weight[0] == 1 / 3
+    # spectra without a value are passed over
+    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), np.array([1.0, np.nan, 1.0]), 5.0)
+    assert (light.before.tolist(), light.after.tolist()) == ([0, 0], [2, 2])
+    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
+    expect_error(
+        TimeError, "irradiance-empty", lambda: line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
+    )
 
 
 # --- neighbours --------------------------------------------------------------------------------------------
@@ -286,14 +282,6 @@ def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
         assert light.weight[k] == (now - low) / (high - low)
         assert light.age[k] == np.float32(min(now - low, high - now) / 1e9)
         assert light.flags[k] == 0
-
-
-def test_spectra_without_a_value_are_passed_over() -> None:
-    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), np.array([1.0, np.nan, 1.0]), 5.0)
-    assert (light.before.tolist(), light.after.tolist()) == ([0, 0], [2, 2])
-    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
-    with pytest.raises(TimeError, match="irradiance-empty"):
-        line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
 
 
 # --- clocks ------------------------------------------------------------------------------------------------

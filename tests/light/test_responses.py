@@ -145,8 +145,11 @@ def test_widths_that_no_grid_holds_are_refused(narrow: float, wide: float) -> No
     widths = np.full(50, wide)
     widths[25] = narrow
     channels = Responses(np.linspace(400.0, 500.0, 50), widths)
-    with pytest.raises(SchemaError, match="fwhm-range"):
-        matching_operator(channels, Responses(np.array([450.0]), np.array([6.0])))
+    expect_error(
+        SchemaError,
+        "fwhm-range",
+        lambda: matching_operator(channels, Responses(np.array([450.0]), np.array([6.0]))),
+    )
 
 
 def test_a_wider_detector_elsewhere_changes_nothing() -> None:
