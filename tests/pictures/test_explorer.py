@@ -58,7 +58,7 @@ def test_without_area_there_is_no_polygon(places: list[tuple[float, float]]) -> 
     assert corners_at([1, 5, np.nan], [1, 1, 4], (24, 6)) is None
 
 
-def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> None:
+def test_polygons_become_regions_whose_corners_move_and_names_change(state: Explored) -> None:
     assert (state.regions, state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4])) == (BEGIN, "region 1")
     assert state.add([1, 2], [1, 2]) is None
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 2"
@@ -67,17 +67,13 @@ def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> Non
     state.drop("region 1")
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
     assert state.regions.names == ("roof", "region 2", "region 1")
-
-
-def test_corners_move_and_properties_stay(state: Explored) -> None:
+    # corners move, and properties stay
     for along, is_area in ([1, 4, 4], True), ([1, 4, 5], False):
         assert state.move("roof", [2, 2, 12.2 if is_area else 2], along) == is_area
         assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
     assert state.regions[0].properties == {"colour": "red"}
-
-
-def test_names_are_taken_or_refused_with_a_reason(state: Explored) -> None:
-    state.add([0, 9, 9], [0, 0, 3])
+    # names are taken, or refused with a reason
+    state.drop("region 2")
     assert state.rename("region 1", " bonnet ") is None
     assert state.regions.names == ("roof", "bonnet")
     assert "occurs twice" in str(state.rename("bonnet", "roof"))
@@ -220,7 +216,7 @@ def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
 # --- spectra -----------------------------------------------------------------------------------------------
 
 
-def test_a_click_has_the_bits_of_the_pixel(state: Explored) -> None:
+def test_a_click_has_the_bits_of_the_pixel(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
     line = flight().line
     whole = line.paint.reflectance()
     for along, across in ((0, 0), (7, 3), (23, 5)):
@@ -235,6 +231,16 @@ def test_a_click_has_the_bits_of_the_pixel(state: Explored) -> None:
         assert all(
             name.replace("_", " ") in spectrum.text for name in hp.base.schema.flag_names(int(pixel.quality))
         )
+    # of a large region every n-th line is taken
+    state.add([0, 0, 23, 23], [0, 5, 5, 0])
+    monkeypatch.setattr(exploring, "MAX_REGION_PIXELS", 60)
+    spectrum = spectrum_of(state, state.drawn[1])
+    assert "of 48 pixels (every 3. line)" in spectrum.text
+    rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
+    values = rows.reflectance.transpose("along_track", "cross_track", "band").values[
+        (rows.quality.values & exploring.EXCLUDED) == 0
+    ]
+    np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
 
 
 def test_flags_of_a_region_are_named_and_left_out() -> None:
@@ -255,18 +261,6 @@ def test_flags_of_a_region_are_named_and_left_out() -> None:
     assert "sliver contains no pixel" in str(
         state.spectrum_of(hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)]))
     )
-
-
-def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
-    state.add([0, 0, 23, 23], [0, 5, 5, 0])
-    monkeypatch.setattr(exploring, "MAX_REGION_PIXELS", 60)
-    spectrum = spectrum_of(state, state.drawn[1])
-    assert "of 48 pixels (every 3. line)" in spectrum.text
-    rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
-    values = rows.reflectance.transpose("along_track", "cross_track", "band").values[
-        (rows.quality.values & exploring.EXCLUDED) == 0
-    ]
-    np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
 
 
 def test_the_uncertainty_is_that_of_the_mean() -> None:
@@ -308,7 +302,9 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
 # --- pictures ----------------------------------------------------------------------------------------------
 
 
-def test_a_picture_of_a_band_has_the_levels_of_the_band(state: Explored) -> None:
+def test_a_picture_of_a_band_has_the_levels_of_the_band(
+    state: Explored, monkeypatch: pytest.MonkeyPatch
+) -> None:
     values = flight().line.paint.pixels(wavelength=650.0).reflectance.values
     bytes_of = state.picture((650.0,), (0.0, 100.0)).rgba.view(np.uint8).reshape(6, 24, 4)
     there = np.isfinite(values).T
@@ -316,11 +312,7 @@ def test_a_picture_of_a_band_has_the_levels_of_the_band(state: Explored) -> None
     # brighter pixels are never darker in the picture
     assert (np.diff(bytes_of[..., 0][there][np.argsort(values.T[there])].astype(int)) >= 0).all()
     assert (bytes_of[..., 0][there].min(), bytes_of[..., 0][there].max()) == (0, 255)
-
-
-def test_a_part_of_a_picture_has_the_colours_of_the_whole(
-    state: Explored, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    # a part has the colours of the whole
     for recipe in ((), INFRARED, (550.0,)):
         if state.has_bands(recipe):
             whole, part = state.picture(recipe), state.picture(recipe, window=(5, 12))
@@ -415,7 +407,7 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
     assert shown.regions[2].polygon.tolist() == [[0, 10], [0, 12], [4, 12]]
 
 
-def test_corners_are_dragged(shown: Any) -> None:
+def test_corners_are_dragged_and_bands_chosen_on_the_picture(shown: Any) -> None:
     corners = shown._sources["corners"]
     assert corners.data["along"] == []
     shown._widgets.mode.value = "edit"
@@ -426,6 +418,23 @@ def test_corners_are_dragged(shown: Any) -> None:
     assert corners.data["along"] == [2, 2, 15]
     corners.data = {"along": [2, 2, 2], "across": [1, 4, 4]}
     assert corners.data["along"] == [2, 2, 15]
+    # pixel centres lie on whole numbers
+    base = shown._sources["base"].data
+    assert [base[name][0] for name in ("x", "y", "dw", "dh")] == [-0.5, -0.5, 24, 6]
+    assert base["image"][0].shape == (6, 24)
+    # the first column is on top
+    y_range = shown._plot.y_range
+    assert y_range.start > y_range.end
+    # bands and flags are chosen
+    band = shown._widgets.band.options[-1]
+    shown.take_band(band + 40.0)
+    assert (shown._widgets.recipe.value, shown._widgets.band.value) == ("one band", band)
+    assert shown._shown_band.location == band
+    assert f"{band:.1f} nm" in shown._widgets.caption.object
+    shown._widgets.recipe.value = "true colour"
+    assert not shown._shown_band.visible
+    shown._sources["view"].data = {"along": [-0.5, 15.5]}
+    assert shown._sources["detail"].data["dw"] == [shown._window[1]]
 
 
 def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> None:
@@ -448,24 +457,3 @@ def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> No
     shown._widgets.save_button.clicks += 1
     assert "other.geojson" in shown._widgets.message.object
     assert (tmp_path / "other.geojson").read_text(encoding="utf-8") == "{}"
-
-
-def test_bands_and_flags_are_chosen(shown: Any) -> None:
-    band = shown._widgets.band.options[-1]
-    shown.take_band(band + 40.0)
-    assert (shown._widgets.recipe.value, shown._widgets.band.value) == ("one band", band)
-    assert shown._shown_band.location == band
-    assert f"{band:.1f} nm" in shown._widgets.caption.object
-    shown._widgets.recipe.value = "true colour"
-    assert not shown._shown_band.visible
-    shown._sources["view"].data = {"along": [-0.5, 15.5]}
-    assert shown._sources["detail"].data["dw"] == [shown._window[1]]
-
-
-def test_the_picture_puts_pixel_centres_on_whole_numbers(shown: Any) -> None:
-    base = shown._sources["base"].data
-    assert [base[name][0] for name in ("x", "y", "dw", "dh")] == [-0.5, -0.5, 24, 6]
-    assert base["image"][0].shape == (6, 24)
-    # the first column is on top
-    y_range = shown._plot.y_range
-    assert y_range.start > y_range.end

@@ -246,9 +246,7 @@ def test_only_the_own_page_is_answered(served: Served) -> None:
         assert asked(served, token, Origin=origin)[0] == 403, origin
         assert asked(served, f"{token}ws", **socket, Origin=origin)[0] == 403, origin
     assert asked(served, f"{token}ws", **socket)[0] == 403  # no browser leaves the origin out
-
-
-def test_it_listens_on_this_machine_alone(served: Served) -> None:
+    # it listens on this machine alone
     process = psutil.Process(served.process.pid)
     listening = [each.laddr for each in process.net_connections("inet") if each.status == psutil.CONN_LISTEN]
     assert [(place.ip, place.port) for place in listening] == [("127.0.0.1", urlsplit(served.address).port)]

@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 from support.agreeing_spectra import agreeing, field, seen
 from support.flown_lines import fly, located
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint import pictures
@@ -136,5 +137,6 @@ def test_before_and_after_straightening(width: float) -> None:
     assert min(vertical) < flown.north.mean() < max(vertical)
     assert [axes.get_title() for axes in figure.axes] == ["as recorded", "straightened"]
     assert straight.get_ylabel() == "north, up [m]"
-    with pytest.raises(hp.SchemaError, match="line-not-located"):
-        pictures.straightening(line.drop_vars(["east", "north"]))
+    expect_error(
+        hp.SchemaError, "line-not-located", lambda: pictures.straightening(line.drop_vars(["east", "north"]))
+    )

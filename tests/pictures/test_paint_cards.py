@@ -120,19 +120,14 @@ def test_curves_are_the_factors(tmp_path: Path) -> None:
     assert texts[0].endswith(": off level")
     assert texts[1].endswith(": as expected")
     expect_errors((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
-
-
-def test_a_report_has_a_part_for_panels() -> None:
-    line = flight(flat=True).line
-    scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
+    # a report has a part for panels
+    white = flight(flat=True).line
+    scaled = hp.reflectance(white, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
     assert "Panels" in dict(line_section(scaled, lines=20))["panels"]()
-    assert "panels" not in dict(line_section(hp.reflectance(line), lines=20))
+    assert "panels" not in dict(line_section(hp.reflectance(white), lines=20))
 
 
 # --- pictures of validations show what was compared ---------------------------------------------------------
-
-
-mpl.use("Agg")
 
 
 def test_curves_are_the_spectra() -> None:
@@ -160,7 +155,7 @@ def test_curves_are_the_spectra() -> None:
     assert high >= float(np.abs(spectra["difference"]).max())
 
 
-def test_instruments_are_drawn_over_one_another() -> None:
+def test_instruments_are_drawn_over_one_another(tmp_path: Path) -> None:
     paints, asd = agreeing()
     nm = np.arange(390.0, 1011.0, 1.5)
     upper, lower = hp.pictures.validation_figure(
@@ -168,6 +163,9 @@ def test_instruments_are_drawn_over_one_another() -> None:
     ).axes
     assert (len(upper.lines), len(lower.lines)) == (3, 1 + 2)
     assert len({line.get_linestyle() for line in upper.lines}) == 3
+    # any name is drawn
+    odd = library(seen(NM, 6.0), (("$\\frac{_\x1b" + "x" * 90),))
+    hp.pictures.validation_figure(hp.validate(odd, odd), tmp_path / "a.png", limit=0.1)
 
 
 def test_the_worst_of_many_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,11 +180,6 @@ def test_the_worst_of_many_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert titles == [*(f"FAIL  {name}" for name in names[:3]), names[3]]  # 5 % of the level pass
     assert f"the 4 worst of {count} shown" in figure.get_suptitle()
     assert (tmp_path / "many.png").stat().st_size > 10_000
-
-
-def test_any_name_is_drawn(tmp_path: Path) -> None:
-    paints = library(seen(NM, 6.0), (("$\\frac{_\x1b" + "x" * 90),))
-    hp.pictures.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
 
 
 def test_sizes_and_places_are_refused_before_any_work(tmp_path: Path) -> None:

@@ -49,32 +49,28 @@ def test_observer_of_1931(nm: float, x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(colour_matching([nm])[:, 0], [x, y, z], atol=0.03)
 
 
-def test_grey_is_grey_and_white_is_white() -> None:
+def test_colours_have_their_names_and_saturated_is_white() -> None:
     made = rgb(scene(np.array([[1.0], [0.2], [0.0]]) * np.ones(NM.size)), stretch=WHITE).values[:, 0]
     np.testing.assert_allclose(made[0], 1.0, atol=0.01)
     # 0.2 as the standard encodes it
     np.testing.assert_allclose(made[1], 1.055 * 0.2 ** (1 / 2.4) - 0.055, atol=0.01)
     np.testing.assert_allclose(made[2], 0.0, atol=1e-6)
-
-
-def test_colours_have_their_names() -> None:
+    # colours have their names
     spectra = np.array(
         [0.05 + 0.8 * ((low <= NM) & (high >= NM)) for low, high in [(600, 780), (500, 580), (385, 480)]]
     )
-    made = rgb(scene(spectra), stretch=WHITE)
-    assert made.rgb.values.tolist() == ["red", "green", "blue"]
-    assert made.values[:, 0].argmax(axis=1).tolist() == [0, 1, 2]
-
-
-def test_saturated_is_white_and_nothing_is_black() -> None:
+    named = rgb(scene(spectra), stretch=WHITE)
+    assert named.rgb.values.tolist() == ["red", "green", "blue"]
+    assert named.values[:, 0].argmax(axis=1).tolist() == [0, 1, 2]
+    # saturated is white, and nothing is black
     spectra = np.full((3, NM.size), 0.2)
     spectra[1] = np.nan
     spectra[1, :3] = 0.2
     spectra[2] = np.nan
-    made = rgb(scene(spectra), stretch=WHITE).values[:, 0]
-    assert (made[1] > 0.95).all()
-    assert (made[2] == 0).all()
-    assert not np.isnan(made).any()
+    lost = rgb(scene(spectra), stretch=WHITE).values[:, 0]
+    assert (lost[1] > 0.95).all()
+    assert (lost[2] == 0).all()
+    assert not np.isnan(lost).any()
 
 
 @pytest.mark.parametrize("chunks", [None, 1])
@@ -159,9 +155,12 @@ def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
     assert len(figure.axes) == 4
 
 
-def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    expect_errors((MissingExtraError, r"\[viz\].*extra-missing", lambda: quicklook(flight().line)))
+    expect_errors(
+        (MissingExtraError, r"\[viz\].*extra-missing", lambda: quicklook(flight().line)),
+        (MissingExtraError, r"\[viz\].*extra-missing", lambda: calibration_report(calibration)),
+    )
 
 
 def test_smile_does_not_tint_the_picture() -> None:
@@ -313,7 +312,9 @@ def test_fits_of_exact_lines_leave_nothing(shape: str, light: str) -> None:
         assert line.curve.max() == pytest.approx(line.counts.max(), rel=0.1)
 
 
-def test_maps_and_curves_are_those_of_the_calibration(figure: Any, calibration: xr.Dataset) -> None:
+def test_maps_curves_uncertainties_and_shades_are_those_of_the_calibration(
+    figure: Any, calibration: xr.Dataset
+) -> None:
     residual = panel(figure, "wavelength residual").collections[0].get_array()
     expected = calibration.line_centre - calibration.step_wavelength
     np.testing.assert_allclose(residual.filled(np.nan), expected.where(calibration.line_trusted).values.T)
@@ -326,17 +327,13 @@ def test_maps_and_curves_are_those_of_the_calibration(figure: Any, calibration: 
         curve(response, f"column {COLUMNS // 2}"), calibration.responsivity[:, COLUMNS // 2]
     )
     assert len(response.collections[0].get_segments()) == COLUMNS
-
-
-def test_uncertainties_add_in_squares(figure: Any, calibration: xr.Dataset) -> None:
+    # uncertainties add in squares
     axes = panel(figure, "standard uncertainty")
     random, common = curve(axes, "random"), curve(axes, "systematic")
     np.testing.assert_allclose(curve(axes, "both"), np.hypot(random, common))
     np.testing.assert_allclose(common, 100 * calibration.radiance_gain_u_systematic, rtol=1e-6)
     assert np.nanmedian(common) == pytest.approx(4.0, rel=0.05)  # the power meter's
-
-
-def test_bands_without_a_gain_are_shaded(figure: Any, calibration: xr.Dataset) -> None:
+    # bands without a gain are shaded
     bad = ~calibration.good.values
     assert bad[0]
     assert bad[-1]
@@ -372,10 +369,9 @@ def test_unlit_columns_and_single_columns_are_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    with pytest.raises(SchemaError) as refused:
-        calibration_report(calibration, sweep.isel(step=slice(9)), column=9)
-    assert refused.value.codes == ("grid-mismatch", "value-out-of-range")
+    part, codes = sweep.isel(step=slice(9)), ("grid-mismatch", "value-out-of-range")
     expect_refusals(
+        (SchemaError, codes, lambda: calibration_report(calibration, part, column=9)),
         (
             SchemaError,
             "variable-missing",
@@ -392,11 +388,6 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
         ),
         (SchemaError, "folder-missing", lambda: check_picture(tmp_path / "none" / "cal.png")),
     )
-
-
-def test_a_calibration_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    expect_errors((MissingExtraError, r"\[viz\].*extra-missing", lambda: calibration_report(calibration)))
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from support.refusals import expect_errors, expect_refusals
+from support.refusals import expect_error, expect_errors, expect_refusals
 
 from hyperpaint.base.schema import flag_shares
 from hyperpaint.light.daylight_colours import ciede2000, encode_srgb, lab_of
@@ -61,7 +61,7 @@ def texts(made: Any) -> list[str]:
     return [text.get_text() for text in made.get_legend().get_texts()]
 
 
-def test_a_pixel_is_the_cube_at_its_own_wavelengths(line: xr.Dataset) -> None:
+def test_a_pixel_is_the_cube_at_its_own_wavelengths_in_good_bands(line: xr.Dataset, tmp_path: Path) -> None:
     shift = np.linspace(-1.0, 1.0, 6)
     smiling = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
     made = spectrum(smiling, pixels=(3, 4)).axes[0]
@@ -69,6 +69,16 @@ def test_a_pixel_is_the_cube_at_its_own_wavelengths(line: xr.Dataset) -> None:
     np.testing.assert_allclose(nm, line.wavelength.values + shift[4])
     np.testing.assert_array_equal(values, smiling.paint.reflectance().reflectance.values[3, :, 4])
     assert made.get_xlabel() == "wavelength [nm]"
+    # bands that are not good are left out
+    good = np.ones(24, bool)
+    good[5] = False
+    made = spectrum(line.assign_coords(good=("band", good)), pixels=(0, 0)).axes[0]
+    assert np.isnan(made.lines[0].get_ydata()).nonzero()[0].tolist() == [5]
+    # axes may be of a subfigure
+    figure = Figure(layout="constrained")
+    axes = figure.subfigures(1, 2)[0].subplots()
+    assert spectrum(line, pixels=(0, 0), axes=axes, path=tmp_path / "a.png") is figure
+    assert flag_overlay(line, axes=axes) is figure
 
 
 def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
@@ -85,20 +95,6 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
     )
 
 
-def test_axes_may_be_of_a_subfigure(line: xr.Dataset, tmp_path: Path) -> None:
-    figure = Figure(layout="constrained")
-    axes = figure.subfigures(1, 2)[0].subplots()
-    assert spectrum(line, pixels=(0, 0), axes=axes, path=tmp_path / "a.png") is figure
-    assert flag_overlay(line, axes=axes) is figure
-
-
-def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
-    good = np.ones(24, bool)
-    good[5] = False
-    made = spectrum(line.assign_coords(good=("band", good)), pixels=(0, 0)).axes[0]
-    assert np.isnan(made.lines[0].get_ydata()).nonzero()[0].tolist() == [5]
-
-
 def test_regions_are_signatures_with_their_quantiles(line: xr.Dataset, paints: xr.Dataset) -> None:
     regions = hp.Regions((LEFT, RIGHT))
     made = spectrum(line, regions, exclude=0).axes[0]
@@ -109,22 +105,20 @@ def test_regions_are_signatures_with_their_quantiles(line: xr.Dataset, paints: x
     assert outer.min() == pytest.approx(paints.reflectance_quantiles.values[0, 0].min())
     assert outer.max() == pytest.approx(paints.reflectance_quantiles.values[0, -1].max())
     assert not spectrum(line, regions, exclude=0, spread="none").axes[0].collections
-
-
-def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
-    made = paints.paint.spectrum(paints="left", spread="sd").axes[0]
-    assert len(made.lines) == 1
-    assert made.collections[0].get_paths()[0].vertices[:, 1].max() == pytest.approx(
+    # paints of a library by name
+    named = paints.paint.spectrum(paints="left", spread="sd").axes[0]
+    assert len(named.lines) == 1
+    assert named.collections[0].get_paths()[0].vertices[:, 1].max() == pytest.approx(
         float((paints.reflectance + paints.reflectance_sd)[0].max())
     )
     assert len(paints.paint.spectrum().axes[0].lines) == 2
 
 
 def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset) -> None:
-    with pytest.raises(SchemaError) as refused:
-        spectrum(line, spread="range")
-    assert refused.value.codes == ("choice-unknown", "argument-missing")
+    outside = [(20, 0), (0, -1)]
     expect_refusals(
+        (SchemaError, ("choice-unknown", "argument-missing"), lambda: spectrum(line, spread="range")),
+        (SchemaError, ("pixel-outside",) * 2, lambda: spectrum(line, pixels=outside)),
         (SchemaError, "option-conflict", lambda: spectrum(paints, pixels=(0, 0))),
         (
             SchemaError,
@@ -134,9 +128,6 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
             lambda: spectrum(paints, paints="middle"),
         ),
     )
-    with pytest.raises(SchemaError) as refused:
-        spectrum(line, pixels=[(20, 0), (0, -1)])
-    assert refused.value.codes == ("pixel-outside",) * 2
     expect_errors(
         (SchemaError, r"whole.*type-wrong", lambda: spectrum(line, pixels=(0.5, 1.0))),
         (SchemaError, "curve-number", lambda: spectrum(line, pixels=[(0, 0)] * 25)),
@@ -222,9 +213,6 @@ def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
         (SchemaError, r"'left'.*region-empty", lambda: triptych(dark, LEFT)),
         (SchemaError, "counts", lambda: triptych(line.drop_vars("counts"), LEFT)),
     )
-
-
-def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
     # of a column without a gain there are counts, and no reflectance
     gain = line.radiance_gain.copy(data=np.where(np.arange(6) == 1, np.nan, line.radiance_gain.values))
     assert (
@@ -247,7 +235,7 @@ def test_the_overview_draws_every_paint_in_its_colour(paints: xr.Dataset) -> Non
         )
 
 
-def test_colours_of_paints() -> None:
+def test_colours_of_paints_and_the_bounded_overview() -> None:
     nm = np.arange(400.0, 1000.0, 10.0)
     spectra = np.stack([0.05 + 0.7 * (nm > 600), 0.05 + 0.7 * (nm < 480), np.full(nm.size, 0.5)])
     library = xr.Dataset(
@@ -264,20 +252,17 @@ def test_colours_of_paints() -> None:
     infrared = library.assign_coords(wavelength=("band", nm + 500, {"units": "nm"}))
     assert np.isnan(paint_colours(infrared)).all()
     assert len(library_overview(infrared).axes) == 3
-
-
-def test_the_overview_is_bounded() -> None:
-    nm = np.arange(400.0, 800.0, 40.0)
+    # the overview is bounded
+    coarse = np.arange(400.0, 800.0, 40.0)
     count = MAX_PAINTS + 3
-    library = xr.Dataset(
-        {"reflectance": (("signature", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
-        {"wavelength": ("band", nm, {"units": "nm"}), "signature": [f"p{k}" for k in range(count)]},
+    many = xr.Dataset(
+        {"reflectance": (("signature", "band"), np.full((count, coarse.size), 0.3, "f4"), {"units": "1"})},
+        {"wavelength": ("band", coarse, {"units": "nm"}), "signature": [f"p{k}" for k in range(count)]},
     )
-    figure = library_overview(library, columns=8)
+    figure = library_overview(many, columns=8)
     assert len(figure.axes) == MAX_PAINTS
     assert figure.get_suptitle() == f"the first {MAX_PAINTS} of {count} paints"
-    with pytest.raises(SchemaError, match="library-empty"):
-        library_overview(library.isel(signature=slice(0, 0)))
+    expect_error(SchemaError, "library-empty", lambda: library_overview(many.isel(signature=slice(0, 0))))
 
 
 def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,7 +321,7 @@ def test_colours_of_flags_are_told_apart(readers: str) -> None:
     assert (ciede2000(lab[:, np.newaxis], lab) + 1e3 * np.eye(len(lab))).min() > 15.0
 
 
-def test_flagged_pixels_have_the_colour_of_their_rarest_flag(flagged: xr.Dataset) -> None:
+def test_flagged_pixels_their_legend_and_chosen_flags_in_fewer_lines(flagged: xr.Dataset) -> None:
     drawn = flag_overlay(flagged, opacity=0.6).axes[0].images[1].get_array()
     assert drawn.shape == (40, 6, 4)  # lines upwards, columns to the right
     expected = np.zeros((40, 6), bool)
@@ -345,25 +330,19 @@ def test_flagged_pixels_have_the_colour_of_their_rarest_flag(flagged: xr.Dataset
     np.testing.assert_allclose(drawn[3, 1], [*to_rgb(Quality.GLINT.colour), 0.6], atol=1e-6)
     np.testing.assert_allclose(drawn[12, 2, :3], to_rgb(Quality.SHADOW.colour), atol=1e-6)
     np.testing.assert_allclose(drawn[15, 2, :3], to_rgb(Quality.SATURATED.colour), atol=1e-6)
-
-
-def test_the_legend_tells_shares_of_all_pixels(flagged: xr.Dataset) -> None:
+    # the legend tells shares of all pixels
     for lines in (1000, 7):
         made = flag_overlay(flagged, lines=lines).axes[0]
         assert texts(made) == ["saturated  0.42 %", "glint  0.83 %", "shadow  4.2 %"]
-
-
-def test_chosen_flags_alone(flagged: xr.Dataset) -> None:
+    # chosen flags alone
     by_name = flag_overlay(flagged, "glint").axes[0].images[1].get_array()
     np.testing.assert_array_equal(by_name, flag_overlay(flagged, Quality.GLINT).axes[0].images[1].get_array())
     assert int((by_name[..., 3] > 0).sum()) == 2
     assert texts(flag_overlay(flagged, ["low_sun"]).axes[0]) == ["low sun  0 %"]
-
-
-def test_a_picture_of_fewer_lines_loses_no_flag(flagged: xr.Dataset) -> None:
+    # a picture of fewer lines loses no flag
     made = flag_overlay(flagged, "glint", lines=10).axes[0]
-    drawn = made.images[1].get_array()[..., 3] > 0
-    assert (drawn.shape, np.argwhere(drawn).tolist()) == ((10, 6), [[0, 1], [3, 2]])
+    kept = made.images[1].get_array()[..., 3] > 0
+    assert (kept.shape, np.argwhere(kept).tolist()) == ((10, 6), [[0, 1], [3, 2]])
     assert made.images[1].get_extent() == [-0.5, 5.5, -0.5, 39.5]
 
 
@@ -379,9 +358,7 @@ def test_layers_are_values_over_the_picture(flagged: xr.Dataset) -> None:
     fewer = flag_overlay(flagged, "shadow", layer="glint_fraction", lines=10).axes[0]
     assert float(fewer.images[1].get_array()[:, 4].max()) == 0.5
     assert fewer.get_legend() is not None
-
-
-def test_layers_below_zero_are_drawn_about_zero(flagged: xr.Dataset) -> None:
+    # layers below zero are drawn about zero
     both = np.zeros((40, 6), np.float32)
     both[:20], both[20:30] = -0.3, 0.6
     tilt = flagged.assign(blocked_direct=(("along_track", "cross_track"), both))
@@ -393,7 +370,14 @@ def test_layers_below_zero_are_drawn_about_zero(flagged: xr.Dataset) -> None:
     assert flag_overlay(tilt, layer="blocked_direct").axes[0].images[1].norm.vmin == 0
 
 
-def test_what_is_not_there_is_told(flagged: xr.Dataset) -> None:
+def test_a_line_without_flags_says_so_and_quality_is_computed_where_it_is_missing(
+    flagged: xr.Dataset,
+) -> None:
+    clean = flagged.assign(quality=flagged.quality * np.uint16(0))
+    assert texts(flag_overlay(clean).axes[0]) == ["no flag set"]
+    assert flag_shares(clean.quality.values) == {}
+    assert flag_overlay(flight(lines=12).line).axes[0].get_ylabel() == "along_track [line], flown upwards"
+    # what is not there is told
     expect_errors(
         (
             SchemaError,
@@ -402,15 +386,6 @@ def test_what_is_not_there_is_told(flagged: xr.Dataset) -> None:
         ),
         (SchemaError, r"'wavelength'.*missing", lambda: flag_overlay(flagged, layer="wavelength")),
     )
-
-
-def test_a_line_without_flags_says_so_and_quality_is_computed_where_it_is_missing(
-    flagged: xr.Dataset,
-) -> None:
-    clean = flagged.assign(quality=flagged.quality * np.uint16(0))
-    assert texts(flag_overlay(clean).axes[0]) == ["no flag set"]
-    assert flag_shares(clean.quality.values) == {}
-    assert flag_overlay(flight(lines=12).line).axes[0].get_ylabel() == "along_track [line], flown upwards"
 
 
 def test_the_stored_picture_is_taken_where_it_fits(flagged: xr.Dataset) -> None:
