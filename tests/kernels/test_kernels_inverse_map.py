@@ -80,13 +80,16 @@ def test_places_are_those_of_the_patches(seed: int, rule: int) -> None:
     np.testing.assert_allclose(place[:, once], wanted[:, once], atol=1e-9)
 
 
-@pytest.mark.parametrize("slab", [1, 2, 4])
-def test_slabs_make_no_difference(slab: int) -> None:
+def test_slabs_tiles_and_numbers_of_lines_make_no_difference() -> None:
     east, north = bent(5, 12, 9)
-    for one, other in zip(
-        inverted(east, north, (24, 18)), inverted(east, north, (24, 18), slab=slab), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
+    whole = inverted(east, north, (24, 18))
+    for slab in (1, 2, 4):
+        for one, other in zip(whole, inverted(east, north, (24, 18), slab=slab), strict=True):
+            np.testing.assert_array_equal(one, other)
+    for one, part in zip(whole, inverted(east, north, (4, 6), corner=(3, 5)), strict=True):
+        np.testing.assert_array_equal(part, one[..., 3:7, 5:11])
+    far, *_ = inverted(east, north, (24, 18), first=1_000_000)
+    np.testing.assert_allclose(far[0] - 1_000_000, whole[0][0], atol=1e-9)
 
 
 def test_every_cell_belongs_to_one_patch() -> None:
@@ -136,21 +139,6 @@ def test_a_line_that_folds_back_is_hit_twice_by_the_rule() -> None:
     assert (hits[1:] == 2).all()
     np.testing.assert_allclose(first[0, 1], 0.3, atol=1e-12)
     np.testing.assert_allclose(last[0, 1], 3.7, atol=1e-12)
-
-
-def test_a_tile_is_a_part_of_the_map() -> None:
-    east, north = bent(4)
-    for whole, part in zip(
-        inverted(east, north, (11, 13)), inverted(east, north, (4, 6), corner=(3, 5)), strict=True
-    ):
-        np.testing.assert_array_equal(part, whole[..., 3:7, 5:11])
-
-
-def test_lines_are_exact_at_any_number() -> None:
-    east, north = bent(2)
-    near, _, _ = inverted(east, north, (10, 12))
-    far, _, _ = inverted(east, north, (10, 12), first=1_000_000)
-    np.testing.assert_allclose(far[0] - 1_000_000, near[0], atol=1e-9)
 
 
 def test_between_the_ends() -> None:

@@ -51,12 +51,7 @@ def test_no_bit_depends_on_the_number_of_lines(smile: int) -> None:
         np.testing.assert_array_equal(flags[0], quality[line])
 
 
-def test_without_quality_nothing_else_changes() -> None:
-    p = problem(np.uint16)
-    np.testing.assert_array_equal(run(p)[0], run(p, flagging=False)[0])
-
-
-def test_missing_counts_hide_no_saturation() -> None:
+def test_missing_counts_hide_no_saturation_and_quality_may_be_left_out() -> None:
     p = problem(np.float32)
     p["counts"][:] = 500.0
     p["counts"][0, 3, 6] = 4090.0
@@ -66,6 +61,9 @@ def test_missing_counts_hide_no_saturation() -> None:
     out, quality = run(p)
     np.testing.assert_array_equal(np.argwhere(quality & 1), [[0, 6], [1, 7]])
     assert np.isnan(out[0, 4:, 6]).all()
+    # without quality nothing else changes
+    p = problem(np.uint16)
+    np.testing.assert_array_equal(run(p)[0], run(p, flagging=False)[0])
 
 
 @pytest.mark.parametrize("keep", [1, 7, 12, 20, 22, 23])
@@ -82,17 +80,15 @@ def test_rounding_is_that_of_numcodecs(keep: int) -> None:
     np.testing.assert_array_equal(made.view(np.uint32), expected.view(np.uint32))
 
 
-def test_rounding_leaves_nan_missing() -> None:
-    values = np.full((1, 1, 4), np.nan, np.float32)
-    round_values(values, 11)
-    assert np.isnan(values).all()
-
-
-def test_rounding_inside_the_slab_is_the_same() -> None:
+def test_rounding_inside_the_slab_is_the_same_and_leaves_nan() -> None:
     p = problem(np.uint16)
     plain = run(p)[0]
     round_values(plain, 11)
     assert plain.tobytes() == run(p, dropped=11)[0].tobytes()
+    # what is missing stays missing
+    missing = np.full((1, 1, 4), np.nan, np.float32)
+    round_values(missing, 11)
+    assert np.isnan(missing).all()
 
 
 # --- interpolation with weights of every column's own -------------------------------------------------------
@@ -197,17 +193,15 @@ def test_a_polynomial_passes_a_gap_unchanged() -> None:
     np.testing.assert_allclose(made[~np.isnan(made)], values[~np.isnan(made)], atol=1e-6)
 
 
-def test_two_gaps_leave_the_value_as_it_is(values: np.ndarray) -> None:
+def test_two_gaps_leave_the_value_as_it_is_and_nothing_stays_nothing(values: np.ndarray) -> None:
     values[0, [10, 12], 0] = np.nan
     made = filtered(values, "savitzky-golay", 5)
     assert made[0, 11, 0] == values[0, 11, 0]
     assert np.isnan(made[0, [10, 12], 0]).all()
-
-
-def test_nothing_at_all() -> None:
-    values = np.full((1, 9, 2), np.nan, np.float32)
-    assert np.isnan(filtered(values, "box", 3)).all()
-    assert np.isnan(filtered(values, "savitzky-golay", 5)).all()
+    # nothing at all
+    empty = np.full((1, 9, 2), np.nan, np.float32)
+    assert np.isnan(filtered(empty, "box", 3)).all()
+    assert np.isnan(filtered(empty, "savitzky-golay", 5)).all()
 
 
 @pytest.mark.parametrize("method", ["savitzky-golay", "box"])

@@ -50,7 +50,7 @@ def placed(
     return out[:, 0]
 
 
-def test_by_hand() -> None:
+def test_rays_by_hand_to_the_horizon_and_below_ground() -> None:
     x, y, height, zenith, azimuth = placed([(0, 0, 1), (1, 0, 1), (0, -0.5, 1)], (5.0, 7.0, 10.0))
     np.testing.assert_allclose(x, [5, 15, 5], atol=1e-12)
     np.testing.assert_allclose(y, [7, 7, 2], atol=1e-12)
@@ -58,9 +58,7 @@ def test_by_hand() -> None:
     np.testing.assert_allclose(zenith, [0, 45, np.degrees(np.arctan(0.5))], atol=1e-12)
     # the camera is seen to the west of what lies east of it, to the north of what lies south
     np.testing.assert_allclose(azimuth, [0, 270, 0], atol=1e-12)
-
-
-def test_horizon_and_below_ground() -> None:
+    # to the horizon and below ground
     up = placed([(1, 0, 1e-6), (1, 0, 0), (1, 0, -1e-6), (0, 0, -1)], (0, 0, 10.0))
     assert np.isfinite(up).all(axis=0).tolist() == [True, False, False, False]
     assert np.isnan(up[:, 1:]).all()
@@ -68,7 +66,7 @@ def test_horizon_and_below_ground() -> None:
     assert np.isnan(placed([(np.nan, 0, 1)], (0, 0, 1.0))).all()
 
 
-def test_the_curved_earth() -> None:
+def test_the_curved_earth_and_north_that_turns_with_the_way_east() -> None:
     # height above a sphere of radius R rises with the square of the way
     radius, altitude = 6.4e6, 1000.0
     height = axis(2, 1.0, altitude)
@@ -84,9 +82,7 @@ def test_the_curved_earth() -> None:
         pytest.approx(1000.0**2 / (2 * radius), rel=1e-2),
         pytest.approx(np.degrees(1000.0 / radius), rel=1e-2),
     )
-
-
-def test_north_turns_with_the_way_east() -> None:
+    # north turns with the way east
     out = np.empty((PLACES, 1, 1))
     look = np.array([[1.0, 0, 1]]) / np.sqrt(2)
     frames = LineFrames(axis(0), axis(1), axis(2), np.array([1e-6]))

@@ -51,7 +51,7 @@ def _change(cube: Path, change: object) -> None:
     np.asarray(change(counts), "<u2").tofile(cube)  # type: ignore[operator]
 
 
-def test_all_findings_are_shown_at_once(collect: Path) -> None:
+def test_all_findings_are_shown_at_once_and_listed(collect: Path) -> None:
     assert CliRunner().invoke(main, ["check", str(collect)]).output.endswith("judgements passed\n")
     _change(collect.parent / "flight/raw_0", lambda counts: counts * 16)
     _change(collect.parent / "dark/raw_0", np.zeros_like)
@@ -63,9 +63,14 @@ def test_all_findings_are_shown_at_once(collect: Path) -> None:
         "multiples of 16: left-justified, above 4095",
         "raw_0: 100 % of the dark",
     )
+    listed = CliRunner().invoke(main, ["check", "--list"])
+    assert listed.exit_code == 0
+    assert all(f"{name}  (" in listed.output for name in KINDS)
 
 
-def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_true_is_processed_and_stored_where_accepted_alone(
+    collect: Path, tmp_path: Path
+) -> None:
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     assert [finding.kind.name for finding in check_collect(collect)] == ["dark-of-zeros"]
     expect_errors(
@@ -73,7 +78,8 @@ def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp
             CollectError,
             r"accept=.*dark-of-zeros",
             lambda: process(collect, tmp_path / "lot.zarr", reflectance="none"),
-        )
+        ),
+        (SchemaError, "accept='all'", lambda: process(collect, tmp_path / "lot.zarr", accept=["all"])),
     )
     assert not (tmp_path / "lot.zarr").exists()
     call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
@@ -81,6 +87,8 @@ def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp
     assert refused.exit_code == 2
     assert "--accept dark-of-zeros" in refused.output
     assert CliRunner().invoke(main, [*call, "--accept", "dark-of-zeros"]).exit_code == 0
+    line = open_store(tmp_path / "lot.zarr", "flightlines/raw_0")
+    assert "100 % of the dark" in line.attrs["accepted_findings"][0]
 
 
 @pytest.mark.parametrize(
@@ -129,15 +137,24 @@ def test_counts_without_a_dark_that_stand_on_a_level(collect: Path, is_subtracte
     assert [f.kind.name for f in check_collect(collect)] == ["dark-missing"] * (not is_subtracted)
 
 
-def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_path: Path) -> None:
-    def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-        counts[3 :: 40 * 24] = 65535
-        return counts
-
-    _change(collect.parent / "flight/raw_0", stamped)
+def test_status_words_and_counts_of_one_value(collect: Path) -> None:
+    cube = collect.parent / "flight/raw_0"
+    counts = np.fromfile(cube, "<u2")
+    word = counts.copy()
+    word[3 :: 40 * 24] = 65535
+    word.tofile(cube)
     (finding,) = check_collect(collect)
-    assert finding.kind.name == "stray-counts"
-    assert not finding.kind.refused
+    assert (finding.kind.name, finding.kind.refused) == ("stray-counts", False)
+    # a band of words, over light that hardly varies, so that they are all that the picture shows
+    frames = counts.reshape(40, 40, 24) // 64 + 400
+    frames[:, 5] = 65000
+    frames.tofile(cube)
+    named = {each.kind.name for each in check_collect(collect)}
+    expect_words(named, "counts-over-range", without=("byte-order",))
+    # one value is not called left-justified
+    np.full_like(counts, 65000).tofile(cube)
+    (found,) = (each.found for each in check_collect(collect) if each.kind.name == "counts-over-range")
+    assert found == "counts up to 65000, above 4095 in 100 % of the elements"
 
 
 @pytest.mark.parametrize(
@@ -167,31 +184,6 @@ def test_a_fore_optic_in_the_files_is_named(collect: Path, tmp_path: Path) -> No
     assert (finding.kind.name, finding.found) == ("irradiance-receptor", "fore optic of 25 degree")
 
 
-def test_a_band_of_status_words_is_no_order_of_bytes(collect: Path) -> None:
-    def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-        # light that hardly varies, so that the words are all that the picture shows
-        frames = counts.reshape(40, 40, 24) // 64 + 400
-        frames[:, 5] = 65000
-        return frames
-
-    _change(collect.parent / "flight/raw_0", stamped)
-    findings = check_collect(collect)
-    expect_words({each.kind.name for each in findings}, "counts-over-range", without=("byte-order",))
-
-
-def test_counts_of_one_value_are_not_called_left_justified(collect: Path) -> None:
-    _change(collect.parent / "flight/raw_0", lambda counts: counts * 0 + 65000)
-    (found,) = (each.found for each in check_collect(collect) if each.kind.name == "counts-over-range")
-    assert found == "counts up to 65000, above 4095 in 100 % of the elements"
-
-
-def test_a_record_of_zeros_is_no_daylight(collect: Path) -> None:
-    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
-    (finding,) = judge_irradiance("raw_0", line.assign(irradiance=line["irradiance"] * np.nan))
-    assert finding.kind.name == "irradiance-level"
-    assert "zero or undefined" in finding.found
-
-
 def test_a_record_that_stands_still_matters_to_reflectance_only(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,7 +199,7 @@ def test_a_record_that_stands_still_matters_to_reflectance_only(
     process(collect, tmp_path / "lot.zarr", to="radiance", reflectance="none")
 
 
-def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> None:
+def test_darks_of_other_exposures_angles_and_a_record_of_zeros(collect: Path) -> None:
     # Bias and rate are fitted to darks before and after at other exposures; their mean is no dark
     line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
     dark, exposure = line["dark_counts"].squeeze(drop=True), float(line["exposure_time"].mean())
@@ -222,6 +214,14 @@ def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> 
     np.testing.assert_allclose(found, bias, rtol=1e-4)
     assert not is_measured
     assert mean_dark(line)[1]
+    # angles that nothing measured are no gap
+    for lost, is_gap in ((("roll", "pitch", "heading"), False), (("latitude",), True)):
+        without = line.assign_coords({key: line[key] * np.nan for key in lost})
+        assert bool([*judge_navigation("raw_0", without)]) is is_gap
+    # a record of zeros is no daylight
+    (finding,) = judge_irradiance("raw_0", line.assign(irradiance=line["irradiance"] * np.nan))
+    assert finding.kind.name == "irradiance-level"
+    assert "zero or undefined" in finding.found
 
 
 def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path) -> None:
@@ -230,32 +230,6 @@ def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path
         (flight / f"raw_0{ending}").rename(flight / f"raw_7{ending}")
     collect.write_text(collect.read_text().replace("flight/raw_0", "flight/raw_7"))
     assert {each.kind.name for each in check_collect(collect)} == {"first-frame"}
-
-
-@pytest.mark.parametrize(("lost", "alarm"), [(("roll", "pitch", "heading"), False), (("latitude",), True)])
-def test_angles_that_nothing_measured_are_no_gap(lost: tuple[str, ...], alarm: bool, collect: Path) -> None:
-    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
-    without = line.assign_coords({key: line[key] * np.nan for key in lost})
-    assert bool([*judge_navigation("raw_0", without)]) is alarm
-
-
-def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
-    expect_errors(
-        (SchemaError, "accept='all'", lambda: process(collect, tmp_path / "lot.zarr", accept=["all"]))
-    )
-
-
-def test_every_finding_is_listed() -> None:
-    done = CliRunner().invoke(main, ["check", "--list"])
-    assert done.exit_code == 0
-    assert all(f"{name}  (" in done.output for name in KINDS)
-
-
-def test_what_was_accepted_stands_in_the_store(collect: Path, tmp_path: Path) -> None:
-    _change(collect.parent / "dark/raw_0", np.zeros_like)
-    process(collect, tmp_path / "lot.zarr", reflectance="none", accept=["dark-of-zeros"])
-    line = open_store(tmp_path / "lot.zarr", "flightlines/raw_0")
-    assert "100 % of the dark" in line.attrs["accepted_findings"][0]
 
 
 def test_a_flag_on_many_pixels_is_said(collect: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning
@@ -63,8 +64,11 @@ def test_faults_of_the_record_are_findings(
     assert (finding.kind.name, finding.kind.refused) == (code, is_refused)
     assert not [each for each in checked if "irradiance-" in str(each.message)]
     if is_refused:
-        with pytest.raises(CollectError, match=code):
-            process(folder / "collect.toml", tmp_path / "lot.zarr", reflectance="none")
+        expect_error(
+            CollectError,
+            code,
+            lambda: process(folder / "collect.toml", tmp_path / "lot.zarr", reflectance="none"),
+        )
         return
     with warnings.catch_warnings(record=True) as processed:
         warnings.simplefilter("always")
