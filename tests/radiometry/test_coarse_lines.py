@@ -108,6 +108,15 @@ def test_what_is_stored_serves(tmp_path: Path, no_compute: Any) -> None:
     for side in (0, 33):
         with pytest.raises(SchemaError, match=rf"side={side}.*value-out-of-range"):
             coarse(line, side=side)
+    # and means of an older store
+    line = speckled().drop_vars("quality")
+    line = line.assign(reflectance=line.reflectance.clip(max=1.0))
+    means = coarse_reflectance(line)
+    old = means.astype(np.float16)  # until 0.2
+    schema.stamp_means(old, line)
+    small = coarse(line.assign(coarse_reflectance=old)).reflectance
+    assert small.attrs["level"] == "stored"
+    np.testing.assert_array_equal(small, means.values)
 
 
 def edits(opened: xr.Dataset) -> dict[str, xr.Dataset]:
@@ -148,17 +157,7 @@ def test_means_of_counts_follow_what_calibrates_them(tmp_path: Path) -> None:
         assert level_of(opened.assign({name: opened[name].copy(data=opened[name].data * 2)})) == "computed"
 
 
-def test_the_explorer_takes_means_of_counts(raw_collect: Path, tmp_path: Path) -> None:
-    store = hp.process(raw_collect, tmp_path / "lot.zarr", reflectance="none")
-    line = hp.open_store(store, "flightlines/raw_0")
-    assert Explored(line)._means is not None
-    assert level_of(line) == "stored"
-    line.paint.pixels(3, 4)  # reads scalars
-    plain = xr.open_zarr(store, group="flightlines/raw_0")
-    assert (level_of(line), level_of(plain)) == ("stored", "computed")
-
-
-def test_process_stores_it(raw_collect: Path, tmp_path: Path) -> None:
+def test_process_stores_means_which_the_explorer_takes(raw_collect: Path, tmp_path: Path) -> None:
     line = hp.open_store(hp.process(raw_collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
     small = line.paint.coarse()
     assert small.reflectance.attrs["level"] == "stored"
@@ -166,6 +165,14 @@ def test_process_stores_it(raw_collect: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(small.reflectance.values, expected, rtol=2**-11)
     assert small.paint.rgb(stretch=(0.0, 100.0)).shape == (10, 3, 3)
     assert storage_chunks(("coarse_y", "band", "coarse_x"), (1000, 272, 160), 2) == (128, 34, 160)
+    # the explorer takes means of counts
+    store = hp.process(raw_collect, tmp_path / "counts.zarr", reflectance="none")
+    line = hp.open_store(store, "flightlines/raw_0")
+    assert Explored(line)._means is not None
+    assert level_of(line) == "stored"
+    line.paint.pixels(3, 4)  # reads scalars
+    plain = xr.open_zarr(store, group="flightlines/raw_0")
+    assert (level_of(line), level_of(plain)) == ("stored", "computed")
 
 
 def test_colours_are_those_of_a_plain_sum() -> None:
@@ -183,17 +190,6 @@ def test_colours_are_those_of_a_plain_sum() -> None:
     assert not out[2, 3].any()
 
 
-def test_means_of_an_older_store_serve() -> None:
-    line = speckled().drop_vars("quality")
-    line = line.assign(reflectance=line.reflectance.clip(max=1.0))
-    means = coarse_reflectance(line)
-    old = means.astype(np.float16)  # until 0.2
-    schema.stamp_means(old, line)
-    small = coarse(line.assign(coarse_reflectance=old)).reflectance
-    assert small.attrs["level"] == "stored"
-    np.testing.assert_array_equal(small, means.values)
-
-
 # --- What tasks share: the plan, its values, and chunks of whole lines
 
 
@@ -207,11 +203,6 @@ def plan_of(line: xr.Dataset) -> slabs.Plan:
         cube={name: line[name].values for name in cube},
         light={**{name: line[name].values for name in light}, **line.attrs},
     )
-
-
-def test_a_plan_does_not_grow_with_the_cube() -> None:
-    small, large = (len(pickle.dumps(plan_of(flight(lines=n, bands=4, columns=3).line))) for n in (10, 1010))
-    assert (large - small) / 1000 < 100  # bytes a line
 
 
 def test_chunks_are_whole_lines_and_small_values_stay_lazy(no_compute: Any) -> None:
@@ -228,13 +219,16 @@ def test_chunks_are_whole_lines_and_small_values_stay_lazy(no_compute: Any) -> N
     assert not isinstance(slabs.small(cube[0, 0].chunk()), np.ndarray)
 
 
-def test_light_of_a_slab_is_that_of_its_lines() -> None:
+def test_a_plan_holds_the_light_of_its_lines_and_not_the_cube() -> None:
     plan = plan_of(flight(lines=9).line)
     whole = plan.light(0, 9)
     assert whole.dtype == np.float32
     np.testing.assert_array_equal(plan.light(4, 7), whole[4:7])
     # a count at the limit is saturated
     assert plan_of(flight(dtype=np.uint16).line).saturation_limit.tolist() == [[4079]]
+    # a plan does not grow with the cube
+    small, large = (len(pickle.dumps(plan_of(flight(lines=n, bands=4, columns=3).line))) for n in (10, 1010))
+    assert (large - small) / 1000 < 100  # bytes a line
 
 
 # --- saturated pixels of traced glossy and metallic cars, against counts that no converter clipped ----------

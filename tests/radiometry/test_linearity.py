@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 from support.slab_arguments import calibrate, oracle, problem
 
 import hyperpaint as hp
@@ -154,8 +155,7 @@ def test_noise_grows_with_the_slope() -> None:
     ],
 )
 def test_impossible_curves_are_refused(attrs: dict[str, Any], problem: str) -> None:
-    with pytest.raises(SchemaError, match=problem):
-        small_line().assign_attrs(attrs).paint.radiance().compute()
+    expect_error(SchemaError, problem, lambda: small_line().assign_attrs(attrs).paint.radiance().compute())
 
 
 def of_elements(line: xr.Dataset, nodes: np.ndarray, on: str) -> xr.Dataset:
@@ -225,5 +225,6 @@ def test_a_sweep_may_have_curves_of_elements() -> None:
     parts = calibration_parts(check_calibration(made), is_counts=True)
     np.testing.assert_array_equal(parts["linearity_map"], curves.linearity_map)
     assert np.nanmax(np.abs(made.radiance_gain / plain.radiance_gain - 1)) > 1e-3
-    with pytest.raises(SchemaError, match="length-mismatch"):
-        hp.calibrate(sweep, linearity=curves.isel(band=slice(9)))
+    expect_error(
+        SchemaError, "length-mismatch", lambda: hp.calibrate(sweep, linearity=curves.isel(band=slice(9)))
+    )
