@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 from support.strategies import labelled
 
 import hyperpaint as hp
@@ -54,9 +55,7 @@ def test_bias_and_rate_fit_all_of_them(darks: dict[int, np.ndarray]) -> None:
     measured = np.stack([darks[ms] for ms in EXPOSURES_MS])
     fit = design @ np.linalg.lstsq(design, measured, rcond=None)[0]
     assert rms(measured - fit) < 0.30  # as SOURCES.md has it
-
-
-def test_two_darks_around_an_exposure(darks: dict[int, np.ndarray]) -> None:
+    # two darks around an exposure
     inside = [
         left(darks, of, (low, high))
         for low, high in combinations(EXPOSURES_MS, 2)
@@ -74,5 +73,4 @@ def test_the_farther_from_the_darks_the_worse_and_it_is_said(darks: dict[int, np
     assert far > 1.5 * near
     scaled = darks[30] * 55.0 / 30.0 - darks[55]  # what scaling the whole dark would leave
     assert rms(scaled) > 10.0 * far
-    with pytest.raises(SchemaError, match="dark-exposure-differs"):
-        left({**darks, 200: darks[55]}, 200, (30, 35))
+    expect_error(SchemaError, "dark-exposure-differs", lambda: left({**darks, 200: darks[55]}, 200, (30, 35)))

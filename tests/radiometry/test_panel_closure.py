@@ -72,7 +72,23 @@ def test_a_partly_saturated_panel_is_noticed_and_right(share: float, slope: floa
     assert bias(laid, laid, saturated=share) < 2e-3
 
 
-def test_a_band_that_is_mostly_saturated_is_refused() -> None:
+@pytest.mark.parametrize("fault", [{"shaded": 0.05}, {"shaded": 0.01}, {"shaded": 0.4}, {"asphalt": 0.05}])
+def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]) -> None:
+    laid = Laid(**fault)
+    _, names, said = closure_of(laid)
+    assert names == {"partly_other"}
+    assert "are shaded or show something else" in said
+    assert bias(laid, Laid()) < 2e-3
+
+
+def test_half_a_panel_in_shade_and_bands_mostly_saturated_are_refused() -> None:
+    # Which half is the panel, nothing tells
+    _, names, said = closure_of(Laid(shaded=0.5))
+    assert ("refused" in names, "uneven" in said) == (True, True)
+    line = flown_over(Laid(shaded=0.5), seed=SEED)
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="panel-refused"):
+        hp.reflectance(line, panel=Laid(shaded=0.5).panel).compute()
+    # a band that is mostly saturated
     laid = Laid()
     closure, names, said = closure_of(laid, saturated=0.95)
     assert names == {"saturated"}
@@ -83,24 +99,6 @@ def test_a_band_that_is_mostly_saturated_is_refused() -> None:
     with pytest.warns(PaintWarning, match=r"bands .*panel-doubtful"):
         scaled = hp.reflectance(line, panel=laid.panel).reflectance.values
     assert np.isnan(scaled[:, lost]).all()
-
-
-@pytest.mark.parametrize("fault", [{"shaded": 0.05}, {"shaded": 0.01}, {"shaded": 0.4}, {"asphalt": 0.05}])
-def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]) -> None:
-    laid = Laid(**fault)
-    _, names, said = closure_of(laid)
-    assert names == {"partly_other"}
-    assert "are shaded or show something else" in said
-    assert bias(laid, Laid()) < 2e-3
-
-
-def test_a_panel_of_which_half_is_in_shade_is_refused() -> None:
-    # Which half is the panel, nothing tells
-    _, names, said = closure_of(Laid(shaded=0.5))
-    assert ("refused" in names, "uneven" in said) == (True, True)
-    line = flown_over(Laid(shaded=0.5), seed=SEED)
-    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="panel-refused"):
-        hp.reflectance(line, panel=Laid(shaded=0.5).panel).compute()
 
 
 @pytest.mark.parametrize("towards", [178.0, 358.0, 223.0])
@@ -294,7 +292,7 @@ def test_a_record_that_drifts_is_corrected(drift: float) -> None:
     np.testing.assert_allclose(factors, rising, atol=3e-3)
 
 
-def test_what_only_the_pixels_differ_in_is_averaged() -> None:
+def test_what_only_the_pixels_differ_in_is_averaged_whatever_the_chunks() -> None:
     line = flown()
     scaled = hp.reflectance(line, panel=[each.panel for each in PANELS])
     ratio = (scaled.reflectance / hp.reflectance(line).reflectance).values
@@ -302,9 +300,7 @@ def test_what_only_the_pixels_differ_in_is_averaged() -> None:
     np.testing.assert_allclose(ratio, np.broadcast_to(mean[:, None], ratio.shape), rtol=1e-5)
     expected = 0.005 / np.sqrt(3.0)  # of a panel that is laid out again
     assert expected < float(scaled.panel_scale_u[0]) < 1.1 * expected
-
-
-def test_the_same_bits_whatever_the_chunks() -> None:
+    # the same bits whatever the chunks
     line, panels = flown(0.05), [each.panel for each in PANELS]
     whole = hp.reflectance(line.chunk(along_track=-1), panel=panels).reflectance.values
     for chunks in (1, 7, (100, 3, 137)):
@@ -357,9 +353,7 @@ def test_weights_of_panels_that_differ_go_linearly_in_time() -> None:
     # a random walk of (ln 1.3)^2 in 100 s: half of it after 50 s alone, a bridge of it at a quarter
     walk = np.log(1.3) ** 2 / 100.0
     np.testing.assert_allclose(u[[0, 2, 4]], np.sqrt(walk * np.array([50.0, 18.75, 100.0])), rtol=0.01)
-
-
-def test_a_band_that_one_panel_lacks_is_that_of_the_others_at_its_level() -> None:
+    # a band that one panel lacks is that of the others at its level
     factor = np.array([[1.0, 1.1, np.nan], [1.2, 1.32, 1.44]])
     scale, _, _ = panel_correction(closure(factor, (0.0, 10.0)), closure(factor, (0.0, 10.0)).time)
     np.testing.assert_allclose(np.exp(-scale[0]), [1.0, 1.1, 1.2], rtol=1e-9)
@@ -422,11 +416,23 @@ def _onto(line: xr.Dataset, tilt: Any) -> np.ndarray[Any, Any]:
     return np.asarray(np.nanmean(values(line) / values(line, tilt=tilt), axis=(0, 2)))
 
 
-def test_under_an_overcast_record_no_side_is_brighter() -> None:
+def test_under_an_overcast_record_no_side_is_brighter_in_any_crop() -> None:
     # Rationale: the clear sky that was taken instead gave 1.056 where 0.976 is right
     assert pytest.approx(0.976, abs=5e-4) == UNIFORM
     for tilt in (TOWARDS_SUN, (20.0, 0.0)):
         np.testing.assert_allclose(_onto(_line(0.25), tilt), UNIFORM, atol=2e-3)
+    # a record of no sky is warned of
+    bright = reflectance(_line(1.7), tilt=TOWARDS_SUN)
+    with pytest.warns(PaintWarning, match="sky-unknown"):
+        bright.reflectance.compute()
+    reflectance(_line(1.7), tilt=(0.0, 0.0)).reflectance.compute()
+    # no bit depends on chunks, or on a crop
+    line = _line(0.25)
+    whole = values(line, tilt=TOWARDS_SUN)
+    crop = line.isel(along_track=slice(7, 15))
+    chunked = line.assign(counts=line.counts.chunk(along_track=5))
+    np.testing.assert_array_equal(values(chunked, tilt=TOWARDS_SUN), whole)
+    np.testing.assert_array_equal(values(crop, tilt=TOWARDS_SUN), whole[7:15])
 
 
 def test_under_a_clear_record_the_model_of_the_tilt_counts() -> None:
@@ -453,22 +459,6 @@ def test_a_diffuse_fraction_of_the_lines_counts_before_the_record() -> None:
     np.testing.assert_allclose(_onto(overcast, known), _onto(clear, known))
 
 
-def test_a_record_of_no_sky_is_warned_of() -> None:
-    line = reflectance(_line(1.7), tilt=TOWARDS_SUN)
-    with pytest.warns(PaintWarning, match="sky-unknown"):
-        line.reflectance.compute()
-    reflectance(_line(1.7), tilt=(0.0, 0.0)).reflectance.compute()
-
-
-def test_no_bit_depends_on_chunks_or_on_a_crop() -> None:
-    line = _line(0.25)
-    whole = values(line, tilt=TOWARDS_SUN)
-    crop = line.isel(along_track=slice(7, 15))
-    chunked = line.assign(counts=line.counts.chunk(along_track=5))
-    np.testing.assert_array_equal(values(chunked, tilt=TOWARDS_SUN), whole)
-    np.testing.assert_array_equal(values(crop, tilt=TOWARDS_SUN), whole[7:15])
-
-
 # --- reflectance of panels by direction: measured factors, reciprocity, energy, and panels of a flight ----
 
 
@@ -486,24 +476,20 @@ def factor_of(*angles: float, **options: Any) -> float:
     return float(panel_factor([550.0], *angles, **options).factor.item())
 
 
-def test_the_factors_are_the_measured_ones() -> None:
+def test_the_factors_are_the_measured_ones_and_reciprocal() -> None:
     for *angles, factor in MEASURED:
         assert factor_of(*angles) == pytest.approx(factor, abs=6e-3), angles
     # seen from the nadir, within the scatter that is stated
     errors = [factor_of(*angles) - factor for *angles, factor in MEASURED if angles[1] == 0.0]
     assert np.std(errors) < 2e-3
-
-
-def test_other_plates_are_within_twice_the_uncertainty() -> None:
+    # other plates are within twice the uncertainty
     # model of a plate in the field, IEEE Trans. Geosci. Remote Sens. (2024), doi:10.1109/TGRS.2024.3361392,
     # over its certificate, at 633 nm and the nadir
     for zenith, other in ((8.0, 1.1045), (30.0, 1.0652), (45.0, 1.0227), (60.0, 0.9512), (70.0, 0.8771)):
         factor, u = panel_factor([633.0], zenith)
         assert abs(other - factor.item()) < 2.0 * u.item()
         assert 0.01 < u.item() < 0.03
-
-
-def test_light_and_view_can_be_exchanged() -> None:
+    # light and view can be exchanged
     rng = np.random.default_rng(5)
     for light, view in rng.uniform(0.0, 45.0, (20, 2)):
         azimuth = float(rng.uniform(-720.0, 720.0))

@@ -151,17 +151,6 @@ def test_of_a_store_only_the_chunks_are_read_that_are_needed(
     assert (keys, region.reflectance.values.tobytes()) == (["counts/c/1/0/0"], expected.tobytes())
 
 
-def test_stored_reflectance_is_read_where_there_is_nothing_else() -> None:
-    stored = smiling().paint.reflectance()[["reflectance"]]
-    region = pixels(stored, slice(3, 5), 2)
-    np.testing.assert_array_equal(region.reflectance, stored.reflectance[3:5, :, 2])
-    expect_errors(
-        (SchemaError, r"'reflectance'.*variable-missing", lambda: pixels(stored.drop_vars("reflectance"))),
-        (SchemaError, r"along_track 70 .*pixel-outside-line", lambda: pixels(smiling(), 70, 0)),
-        (SchemaError, r"3000 nm.*band-missing", lambda: pixels(smiling(), 0, 0, wavelength=3000.0)),
-    )
-
-
 # --- the plan
 
 
@@ -214,7 +203,7 @@ def test_what_is_replaced_counts(name: str, is_lazy: bool, plans: list[Any]) -> 
     assert len(plans) == 2
 
 
-def test_what_is_assigned_in_place_counts(tmp_path: Path) -> None:
+def test_what_is_assigned_in_place_or_written_anew_counts(tmp_path: Path) -> None:
     hp.to_store(smiling(), tmp_path / "line.zarr")
     stored = (xr.open_zarr(tmp_path / "line.zarr", **options) for options in ({}, {"chunks": None}))
     for line in (smiling(), *stored):
@@ -224,6 +213,14 @@ def test_what_is_assigned_in_place_counts(tmp_path: Path) -> None:
         np.testing.assert_allclose(pixel(line), before * 1.5, rtol=1e-6)
         line["radiance_gain"][...] = line.radiance_gain.values / 3
         np.testing.assert_allclose(pixel(line), before / 2, rtol=1e-6)
+    # a store that is written anew
+    group = "flightlines/a"
+    store = hp.to_store(smiling(), tmp_path / "lot.zarr", group)
+    before = pixel(xr.open_zarr(store, group=group))
+    hp.to_store(replaced(smiling(), "radiance_gain"), store, group, overwrite=True)
+    for line in (xr.open_zarr(store, group=group), hp.open_store(store, group)):
+        np.testing.assert_allclose(pixel(line), before * 1.01, rtol=1e-5)
+        np.testing.assert_array_equal(pixel(line), line.paint.reflectance().reflectance[5, :, 5].values)
 
 
 def test_attributes_count(plans: list[Any]) -> None:
@@ -234,23 +231,11 @@ def test_attributes_count(plans: list[Any]) -> None:
     np.testing.assert_allclose(pixel(longer), before / 60, rtol=1e-5)
     assert not np.array_equal(pixel(line.assign_attrs(srf_shape="slit")), before)
     assert len(plans) == 3
-
-
-def test_counts_and_radiance_have_plans_of_their_own() -> None:
+    # counts and radiance have plans of their own
     line = smiling().paint.radiance()
     of_radiance = pixel(line.drop_vars("counts"))
     np.testing.assert_allclose(of_radiance, pixel(line), rtol=1e-5)
     assert np.isfinite(of_radiance).any()
-
-
-def test_a_store_that_is_written_anew_counts(tmp_path: Path) -> None:
-    group = "flightlines/a"
-    store = hp.to_store(smiling(), tmp_path / "lot.zarr", group)
-    before = pixel(xr.open_zarr(store, group=group))
-    hp.to_store(replaced(smiling(), "radiance_gain"), store, group, overwrite=True)
-    for line in (xr.open_zarr(store, group=group), hp.open_store(store, group)):
-        np.testing.assert_allclose(pixel(line), before * 1.01, rtol=1e-5)
-        np.testing.assert_array_equal(pixel(line), line.paint.reflectance().reflectance[5, :, 5].values)
 
 
 def test_few_plans_are_held_and_no_cube(
@@ -294,8 +279,17 @@ def test_many_threads_look_at_once() -> None:
     assert not wrong
 
 
-def test_a_derived_cube_is_computed_by_dask() -> None:
+def test_derived_cubes_and_stored_reflectance_are_read() -> None:
     line = lazily(smiling())
     line = line.assign(counts=line.counts.copy(data=da.flip(da.flip(line.counts.data, 0), 0)))
     region = pixels(line, slice(30, 34), 3)
     np.testing.assert_array_equal(region.reflectance, line.paint.reflectance().reflectance[30:34, :, 3])
+    # where there is nothing else, what is stored
+    stored = smiling().paint.reflectance()[["reflectance"]]
+    region = pixels(stored, slice(3, 5), 2)
+    np.testing.assert_array_equal(region.reflectance, stored.reflectance[3:5, :, 2])
+    expect_errors(
+        (SchemaError, r"'reflectance'.*variable-missing", lambda: pixels(stored.drop_vars("reflectance"))),
+        (SchemaError, r"along_track 70 .*pixel-outside-line", lambda: pixels(smiling(), 70, 0)),
+        (SchemaError, r"3000 nm.*band-missing", lambda: pixels(smiling(), 0, 0, wavelength=3000.0)),
+    )

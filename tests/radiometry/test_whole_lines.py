@@ -46,7 +46,7 @@ def test_the_bits_of_the_whole_line(dtype: Any, uncertainty: bool) -> None:
         assert isinstance(slabs[0][name].data, np.ndarray), name
 
 
-def test_it_asks_no_scheduler_and_can_be_pickled() -> None:
+def test_it_asks_no_scheduler_keeps_flags_and_refuses_dask() -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("a scheduler was asked")
 
@@ -56,17 +56,13 @@ def test_it_asks_no_scheduler_and_can_be_pickled() -> None:
     assert_same(product, pickle.loads(pickle.dumps(hp.slab))(pickle.loads(pickle.dumps(line))))
     assert product["counts"].data is line["counts"].data  # nothing is copied
     assert "reflectance" not in line
-
-
-def test_lines_that_are_read_when_asked_for(tmp_path: Path) -> None:
-    line = stored(_line(), tmp_path / "lot.zarr")
-    some = xr.open_zarr(tmp_path / "lot.zarr", chunks=None).isel(along_track=slice(8, 16))
-    assert_same(hp.slab(some), reflectance(line).isel(along_track=slice(8, 16)))
-    assert not some["counts"].variable._in_memory
-
-
-def test_dask_arrays_are_refused() -> None:
-    line = _line()
+    # radiance, and what an earlier flag says
+    radiance = hp.radiance(line).compute().drop_vars(["counts", "dark_counts"])
+    assert_same(hp.slab(radiance), reflectance(radiance))
+    flagged = reflectance(line).compute()
+    flagged["quality"] |= np.uint16(Quality.SHADOW)
+    assert (hp.slab(flagged)["quality"] & Quality.SHADOW).all()
+    # dask arrays are refused
     expect_refusals(
         (
             SchemaError,
@@ -77,13 +73,11 @@ def test_dask_arrays_are_refused() -> None:
     )
 
 
-def test_radiance_and_what_an_earlier_flag_says() -> None:
-    line = _line()
-    radiance = hp.radiance(line).compute().drop_vars(["counts", "dark_counts"])
-    assert_same(hp.slab(radiance), reflectance(radiance))
-    flagged = reflectance(line).compute()
-    flagged["quality"] |= np.uint16(Quality.SHADOW)
-    assert (hp.slab(flagged)["quality"] & Quality.SHADOW).all()
+def test_lines_that_are_read_when_asked_for(tmp_path: Path) -> None:
+    line = stored(_line(), tmp_path / "lot.zarr")
+    some = xr.open_zarr(tmp_path / "lot.zarr", chunks=None).isel(along_track=slice(8, 16))
+    assert_same(hp.slab(some), reflectance(line).isel(along_track=slice(8, 16)))
+    assert not some["counts"].variable._in_memory
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.noisy_collects import BANDS, noisy_collect
-from support.refusals import expect_errors, expect_refusals, refusal
+from support.refusals import expect_error, expect_errors, expect_refusals, refusal
 from support.strategies import flight, with_noise
 
 import hyperpaint as hp
@@ -64,18 +64,9 @@ def test_uncertainties_are_those_of_repetition() -> None:
         assert abs(np.mean(z)) < 1.2, name
 
 
-def test_counts_without_quantisation_and_without_read_noise() -> None:
-    options: dict[str, Any] = {"lines": 32, "bands": 60, "columns": 100, "read_noise": 0.0}
-    for whole in (True, False):
-        found = estimate_noise(simulate_line(**options, quantise=whole))
-        assert abs(z_of(found, "electrons_per_count", 20.0)) < 4
-        assert float(found.read_noise) < 0.3
-
-
 def test_what_it_returns_goes_into_reflectance() -> None:
     line = simulate_line(lines=32, bands=48, columns=60).drop_vars(["electrons_per_count", "read_noise"])
-    with pytest.raises(SchemaError, match="variable-missing"):
-        line.paint.reflectance(uncertainty=True)
+    expect_error(SchemaError, "variable-missing", lambda: line.paint.reflectance(uncertainty=True))
     found = hp.radiometry.estimate_noise(line)
     for name, units in (("electrons_per_count", "electron count-1"), ("read_noise", "count")):
         assert found[name].dtype == np.float32
@@ -107,29 +98,28 @@ def sweep_of(cube: np.ndarray) -> xr.Dataset:
     )
 
 
-def test_frames_of_a_sweep() -> None:
+def test_frames_of_a_sweep_saturated_ones_and_repeated_lines() -> None:
     cube = frames_of(np.geomspace(5.0, 2500.0, 12), 20, 15.0, 1.2)
     found = estimate_noise(sweep_of(np.minimum(cube, 4095)))
     for name, truth, within in (("electrons_per_count", 15.0, 0.03), ("read_noise", 1.2, 0.05)):
         assert abs(z_of(found, name, truth)) < 4
         np.testing.assert_allclose(float(found[name]), truth, rtol=within)
-    with pytest.raises(SchemaError, match="frames-too-few"):
-        estimate_noise(sweep_of(cube).assign(frame_count=((), 1, {"units": "1"})))
-
-
-def test_saturated_frames_do_not_bend_the_line() -> None:
+    expect_error(
+        SchemaError,
+        "frames-too-few",
+        lambda: estimate_noise(sweep_of(cube).assign(frame_count=((), 1, {"units": "1"}))),
+    )
+    # saturated frames do not bend the line
     cube = np.minimum(frames_of(np.geomspace(50.0, 6000.0, 14), 20, 15.0, 1.2), 4095)
     assert (cube == 4095).any()
     np.testing.assert_allclose(float(estimate_noise(sweep_of(cube)).electrons_per_count), 15.0, rtol=0.03)
-
-
-def test_repeated_lines_of_one_scene() -> None:
+    # repeated lines of one scene
     line = line_of(frames_of(np.array([600.0]), 64, 20.0, 0.8)[0])
     # levels from 300 to 900: enough for the slope
     assert abs(z_of(estimate_noise(line, repeated=True), "electrons_per_count", 20.0)) < 4
 
 
-def test_signals_of_one_level_are_refused() -> None:
+def test_signals_of_one_level_and_scenes_never_homogeneous_are_refused() -> None:
     line = line_of(np.rint(100.0 + 300.0 + 4.0 * np.random.default_rng(0).normal(size=(32, 12, 20))))
     shuffled = line.assign_coords(wavelength=("band", [1, 9, 2, 8, 3, 7, 4, 6, 5, 11, 0, 12]))
     for repeated in (False, True):
@@ -141,20 +131,22 @@ def test_signals_of_one_level_are_refused() -> None:
         (SchemaError, "dark_counts", lambda: estimate_noise(line.drop_vars("dark_counts"))),
         (SchemaError, "wavelength-unordered", lambda: estimate_noise(shuffled)),
     )
-
-
-def test_a_scene_that_is_never_homogeneous_is_no_scene_to_use() -> None:
     # every line is of another surface
     line = line_of(np.random.default_rng(1).uniform(100.0, 3000.0, (64, 12, 20)), dark=0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
-        with pytest.raises(SchemaError):
-            estimate_noise(line)
+        expect_error(SchemaError, None, lambda: estimate_noise(line))
 
 
-def test_dropped_and_saturated_lines_and_bad_elements_do_not_count() -> None:
+def test_dropped_saturated_and_bad_elements_do_not_count() -> None:
     line = simulate_line(lines=64, bands=48, columns=80, dropped=6, glint=0.02, bad_elements=40)
     assert abs(z_of(estimate_noise(line), "electrons_per_count", 20.0)) < 4
+    # nor are quantisation and read noise needed
+    options: dict[str, Any] = {"lines": 32, "bands": 60, "columns": 100, "read_noise": 0.0}
+    for whole in (True, False):
+        found = estimate_noise(simulate_line(**options, quantise=whole))
+        assert abs(z_of(found, "electrons_per_count", 20.0)) < 4
+        assert float(found.read_noise) < 0.3
 
 
 def test_a_long_line_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +198,7 @@ def test_noise_is_told_from_changes_of_light(samples: int, within: float) -> Non
     assert np.percentile(np.abs(ratio - 1.0), 95) < within
 
 
-def test_channels_without_light_and_gaps_in_time() -> None:
+def test_channels_without_light_gaps_in_time_and_few_samples() -> None:
     spectra, times = record(30, 4)
     spectra[:, :40], spectra[3, 300] = 0.0, np.nan
     times[15:] += np.timedelta64(300, "s")
@@ -216,9 +208,7 @@ def test_channels_without_light_and_gaps_in_time() -> None:
     assert noise[:40] == pytest.approx(noise[40])
     assert noise_of_record(spectra[:5], times[:5]) is None
     assert noise_of_record(spectra[:, :10], times) is None
-
-
-def test_three_samples_tell_where_that_is_asked_and_lost_ones_count_for_nothing() -> None:
+    # three samples tell where that is asked, and lost ones count for nothing
     spectra, times = record(40, 7)
     assert over_truth(spectra[:3], times[:3], fewest=1).mean() == pytest.approx(1.0, abs=0.15)
     assert noise_of_record(spectra[:2], times[:2], fewest=1) is None

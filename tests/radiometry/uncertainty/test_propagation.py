@@ -6,6 +6,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 from support.strategies import SHIFT, START, flight, labelled, stored, with_noise
 
 import hyperpaint as hp
@@ -134,7 +135,7 @@ def test_wavelength_acts_on_the_slope_of_the_light() -> None:
 # ------------------------------------------------------------------------------- zero, masks, options
 
 
-def test_at_and_below_zero_noise_stays_what_it_is() -> None:
+def test_noise_at_and_below_zero_and_of_floats() -> None:
     line = with_noise(flight(dtype=np.uint16).line)
     dark = np.rint(line.dark_counts.values)
     line["dark_counts"] = line.dark_counts.copy(data=dark)
@@ -144,9 +145,7 @@ def test_at_and_below_zero_noise_stays_what_it_is() -> None:
     assert (made.reflectance.values[1] < 0).all()
     floor = made.reflectance.values[2] / (line.counts.values[2] - dark) * np.sqrt(4.0 + 1.0 / 12.0)
     np.testing.assert_allclose(made.reflectance_u_random.values[:2], np.stack([floor, floor]), rtol=1e-4)
-
-
-def test_float_counts_are_not_rounded() -> None:
+    # float counts are not rounded
     whole, exact = (
         with_noise(flight(dtype=t, flat=True).line).assign(read_noise=((), 0.0, {"units": "count"}))
         for t in (np.uint16, np.float32)
@@ -210,11 +209,12 @@ def test_a_panel_takes_the_place_of_what_all_elements_share() -> None:
         u = made.reflectance_u_systematic / made.reflectance
         np.testing.assert_allclose(u, relative, rtol=1e-5)
     assert made.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_random, panel"
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=2.0)
+    expect_error(
+        SchemaError, "value-out-of-range", lambda: Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=2.0)
+    )
 
 
-def test_irradiance_uncertainty_of_every_wavelength() -> None:
+def test_uncertainty_of_every_wavelength_and_detector_joins_without_a_slope() -> None:
     line = with_noise(flight().line)
     grows = (0.01 + 1e-4 * (line.irradiance_wavelength - 500.0)).clip(0).astype("f4")
     line["irradiance_u_systematic"] = grows.assign_attrs(units="1")
@@ -222,9 +222,7 @@ def test_irradiance_uncertainty_of_every_wavelength() -> None:
     u = made.reflectance_u_systematic.values / made.reflectance.values
     expected = 0.01 + 1e-4 * (line.wavelength.values - 500.0)
     np.testing.assert_allclose(u, np.broadcast_to(expected[:, None], u.shape), rtol=1e-4)
-
-
-def test_detector_joins_have_no_slope() -> None:
+    # detector joins have no slope
     line = with_noise(flight(flat=True).line, wavelength_u=1.0)
     line["counts"].values[:, 6:] += 300.0  # the second detector
     nm = np.r_[np.linspace(500, 550, 6), np.linspace(548, 598, 6)]
