@@ -9,7 +9,7 @@ import pytest
 import shapely
 import xarray as xr
 from support.flown_lines import GSD, MAP, Flown, fly, located
-from support.refusals import expect_words
+from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
@@ -171,8 +171,11 @@ def test_cells_of_a_geotiff(flown: Flown, line: xr.Dataset, north: xr.Dataset, t
     cells = pixels(region[0], north, coordinates="map", crs=MAP)
     np.testing.assert_array_equal(pixels(region[0], opened, coordinates="map", crs=MAP), cells)
     assert extract(opened, region)["n"].item() == cells[0].size
-    with pytest.raises(SchemaError, match="corner-outside-crs"):
-        extract(opened, Regions(region.regions, "map", "EPSG:4326"))
+    expect_error(
+        SchemaError,
+        "corner-outside-crs",
+        lambda: extract(opened, Regions(region.regions, "map", "EPSG:4326")),
+    )
 
 
 def test_only_the_tiles_of_the_regions_are_read(flown: Flown, line: xr.Dataset) -> None:
@@ -230,9 +233,8 @@ def with_poses(flown: Flown, line: xr.Dataset) -> xr.Dataset:
 def test_a_line_with_poses_is_located_for_regions_of_a_map(flown: Flown, line: xr.Dataset) -> None:
     bare = with_poses(flown, line)
     regions = drawn(flown)
-    with pytest.raises(SchemaError, match="ground-height-missing") as refused:
-        extract(bare, regions)
-    assert "--ground" in refused.value.text(on_command_line=True)
+    refused = expect_error(SchemaError, "ground-height-missing", lambda: extract(bare, regions))
+    assert "--ground" in refused.text(on_command_line=True)
     library = extract(bare.assign_attrs(ground=152.4), regions)
     by_hand = extract(hp.geometry.locate(bare, ground=152.4), regions)
     for number in range(2):
@@ -251,17 +253,17 @@ def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.D
         for one in drawn(flown)
     ]
     document = {"type": "FeatureCollection", "features": features}
-    with pytest.raises(SchemaError, match=r"OGC:CRS84.*region-empty"):
-        extract(line, document)
+    expect_error(SchemaError, r"OGC:CRS84.*region-empty", lambda: extract(line, document))
     # as the error says
     assert (extract(line, {**document, "crs": "OGC:CRS84"})["n"] > 50).all()
     # what can be no degrees is not taken for them
-    with pytest.raises(SchemaError, match="region-empty") as caught:
-        extract(line, Region("far", [(500, 500), (600, 500), (600, 600)]))
-    expect_words(str(caught.value), without=("CRS84", "crs="))
+    far = Region("far", [(500, 500), (600, 500), (600, 600)])
+    error = expect_error(SchemaError, "region-empty", lambda: extract(line, far))
+    expect_words(str(error), without=("CRS84", "crs="))
     # what can only be metres of a map
-    with pytest.raises(SchemaError, match=r"crs=.*region-empty"):
-        extract(line, Region("metres", drawn(flown)[0].polygon))
+    expect_error(
+        SchemaError, r"crs=.*region-empty", lambda: extract(line, Region("metres", drawn(flown)[0].polygon))
+    )
 
 
 # --- regions on the mosaic of several flight lines: the pixels of each line are its own -------------------
@@ -331,6 +333,10 @@ def test_a_region_of_a_line_is_of_its_cells_alone(lines: dict[str, xr.Dataset], 
     # nearest cells show each pixel of these lines
     np.testing.assert_array_equal(of_map.n, of_lines.n)
     np.testing.assert_array_equal(of_map.n, [121, 81])
+    # a mosaic of one line needs no name
+    alone = hp.geometry.mosaic({"a": lines["a"]}, GSD_SIGNATURES)
+    library = hp.extract_signatures(alone, Regions((square("hood", 4.5, 15.5),)))
+    assert library.n.item() == 121
 
 
 def test_a_region_over_a_seam_has_the_pixels_of_both_lines(mosaic: xr.Dataset) -> None:
@@ -352,13 +358,7 @@ def test_a_region_over_a_seam_has_the_pixels_of_both_lines(mosaic: xr.Dataset) -
 @pytest.mark.parametrize("flightline", ["", "c"])
 def test_a_region_of_the_sensor_names_its_line(mosaic: xr.Dataset, flightline: str) -> None:
     regions = Regions((square("hood", 4.5, 15.5, flightline=flightline),))
-    with pytest.raises(SchemaError, match="flightline-unknown"):
-        hp.extract_signatures(mosaic, regions)
-    with pytest.raises(SchemaError, match="one of a, b;"):
-        pixels(regions[0], mosaic)
-
-
-def test_a_mosaic_of_one_line_needs_no_name(lines: dict[str, xr.Dataset]) -> None:
-    alone = hp.geometry.mosaic({"a": lines["a"]}, GSD_SIGNATURES)
-    library = hp.extract_signatures(alone, Regions((square("hood", 4.5, 15.5),)))
-    assert library.n.item() == 121
+    expect_errors(
+        (SchemaError, "flightline-unknown", lambda: hp.extract_signatures(mosaic, regions)),
+        (SchemaError, "one of a, b;", lambda: pixels(regions[0], mosaic)),
+    )

@@ -13,7 +13,7 @@ import xarray as xr
 from oracles.disort_sky import relative_sky
 from scipy.spatial.transform import Rotation
 from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, raw
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
@@ -64,8 +64,7 @@ def test_lines_of_unsteady_light_are_excluded_where_others_remain(flag: Quality)
         unsteady = extract_signatures(line, TWO)
     np.testing.assert_array_equal(unsteady.reflectance, steady.reflectance)
     assert (unsteady.quality == int(flag)).all()
-    with pytest.raises(SchemaError, match="region-too-small"):
-        extract_signatures(line, TWO, exclude=flag)
+    expect_error(SchemaError, "region-too-small", lambda: extract_signatures(line, TWO, exclude=flag))
 
 
 def test_flags_that_were_never_searched_are_not_called_excluded() -> None:
@@ -84,25 +83,21 @@ def test_flags_that_were_never_searched_are_not_called_excluded() -> None:
 def test_all_regions_with_too_few_pixels_are_named() -> None:
     line = made()
     line["quality"].values[:] = int(Quality.SHADOW)
-    with pytest.raises(SchemaError) as caught:
-        extract_signatures(line, TWO)
-    told = str(caught.value)
+    told = str(expect_error(SchemaError, None, lambda: extract_signatures(line, TWO)))
     for region in TWO:
         size = pixels(region, line)[0].size
         assert f"{region.name!r}: 0 of {size} pixels are usable, expected 5 (100% shadow)" in told, told
     beyond = Regions(
         (TWO[0], Region("far", [(90, 90), (99, 90), (99, 99)]), Region("off", [(90, 0), (99, 0), (99, 9)]))
     )
-    with pytest.raises(SchemaError, match=r"(?s)'far'.*40 l.*'off'"):
-        extract_signatures(line, beyond)
+    expect_error(SchemaError, r"(?s)'far'.*40 l.*'off'", lambda: extract_signatures(line, beyond))
 
 
 def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> None:
     line = made()
     cells = pixels(TWO[0], line)
     line["quality"].values[cells] |= int(Quality.SHADOW)
-    with pytest.raises(SchemaError, match="region-too-small"):
-        extract_signatures(line, TWO)
+    expect_error(SchemaError, "region-too-small", lambda: extract_signatures(line, TWO))
     library = extract_signatures(line, TWO, drop_small=True)
     assert library.equals(extract_signatures(line, TWO[1:]))
     (said,) = library.attrs["left_out"]
@@ -110,8 +105,7 @@ def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> N
     hp.write_library(library, tmp_path / "paints.zarr")
     assert hp.open_library(tmp_path / "paints.zarr").attrs["left_out"] == [said]
     line["quality"].values[:] |= int(Quality.SHADOW)
-    with pytest.raises(SchemaError, match="region-too-small"):
-        extract_signatures(line, TWO, drop_small=True)
+    expect_error(SchemaError, "region-too-small", lambda: extract_signatures(line, TWO, drop_small=True))
 
 
 @pytest.mark.parametrize("method", ["savitzky-golay", "box"])
@@ -130,8 +124,11 @@ def test_one_bad_band_touches_its_window_only(method: str) -> None:
         assert np.isfinite(array[..., :6][before[..., :6] == before[..., :6]]).all()
     assert found.attrs["smoothing"].lower().startswith(method)
     assert whole.attrs["smoothing"] != extract_signatures(line, TWO).attrs["smoothing"] == "none"
-    with pytest.raises(SchemaError, match="already-smoothed"):
-        extract_signatures(line.paint.smooth("box", 3), TWO, smooth="box")
+    expect_error(
+        SchemaError,
+        "already-smoothed",
+        lambda: extract_signatures(line.paint.smooth("box", 3), TWO, smooth="box"),
+    )
     assert extract_signatures(line.paint.smooth("box", 3), TWO).attrs["smoothing"] == "box, 3 bands"
 
 
@@ -151,23 +148,22 @@ def test_what_was_corrected_is_said(smile: bool) -> None:
     assert library.attrs["corrections"] == f"mirrored_sky_removed: {text}; tilt: tilted by 3 degree; none"
     assert library.reflectance.attrs["mirrored_sky_removed"] == f"{text}; none"
     assert library.reflectance.attrs["tilt"] == "none; tilted by 3 degree"
-    with pytest.raises(SchemaError, match=r"tilt.*corrected-before"):
-        extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="corrected-before"):
-        hp.surroundings.remove_mirrored_sky(library, sun_zenith=40.0)
+    expect_errors(
+        (
+            SchemaError,
+            r"tilt.*corrected-before",
+            lambda: extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0),
+        ),
+        (
+            SchemaError,
+            "corrected-before",
+            lambda: hp.surroundings.remove_mirrored_sky(library, sun_zenith=40.0),
+        ),
+    )
     lit = hp.surroundings.correct_light(line, direct=0.9, sun_zenith=40.0)
     assert extract_signatures(lit, TWO).attrs["corrections"].startswith("light_corrected: direct 0.9")
     assert extract_signatures(line, TWO).attrs["corrections"] == "none"
     assert "tilt" not in line.reflectance.attrs
-
-
-def test_the_same_bits_without_the_mirrored_sky() -> None:
-    line = raw()
-    expected = line.paint.signatures(RAW, specular_sky=True, smooth="box")
-    for chunks in CHUNKINGS[1:]:
-        lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
-        assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
-    assert expected.attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
 
 
 def test_the_mirrored_sky_is_subtracted() -> None:
@@ -194,35 +190,45 @@ def test_the_mirrored_sky_is_subtracted() -> None:
     low = line.paint.signatures(RAW, sun_zenith=80.0, **options)
     assert (low.reflectance[:, 2] < less.reflectance[:, 2]).all()
     assert "sun zenith 80 degree" in low.attrs["corrections"]
+    # the same bits whatever the chunks
+    expected = line.paint.signatures(RAW, specular_sky=True, smooth="box")
+    for chunks in CHUNKINGS[1:]:
+        lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
+        assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
+    assert expected.attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
 
 
-def test_a_mirrored_sky_that_cannot_be_subtracted() -> None:
+def test_every_wrong_option_is_told() -> None:
+    wrong: dict[str, Any] = {"exclude": "glint", "members": -1, "centre": "mean", "min_pixels": 0}
+    words = ("regions= is empty", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
+    error = expect_error(SchemaError, None, lambda: extract_signatures(made(), Regions(()), **wrong))
+    expect_words(str(error), *words)
+    number: Any = 3
+    expect_errors(
+        (SchemaError, "type-wrong", lambda: extract_signatures(number, TWO)),
+        (
+            SchemaError,
+            "compute reflectance",
+            lambda: extract_signatures(made().drop_vars("reflectance"), TWO),
+        ),
+        (
+            SchemaError,
+            "'wavelength' is missing",
+            lambda: extract_signatures(made().drop_vars("wavelength"), TWO),
+        ),
+    )
+    # a mirrored sky that cannot be subtracted
     line = made()
     expect_refusals(
         (SchemaError, "sun-unknown", lambda: extract_signatures(line, TWO, specular_sky=True)),
         (SchemaError, "argument-missing", lambda: extract_signatures(line, TWO, sun_zenith=30.0)),
     )
     removed = hp.surroundings.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="corrected-before"):
-        extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0)
-
-
-def test_every_wrong_option_is_told() -> None:
-    with pytest.raises(SchemaError) as caught:
-        extract_signatures(
-            made(), Regions(()), exclude="glint", members=-1, centre="mean", min_pixels=0  # type: ignore[arg-type]
-        )  # fmt: skip
-    told = str(caught.value)
-    assert all(
-        word in told
-        for word in ("regions= is empty", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
+    expect_error(
+        SchemaError,
+        "corrected-before",
+        lambda: extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0),
     )
-    with pytest.raises(SchemaError, match="type-wrong"):
-        extract_signatures(3, TWO)  # type: ignore[arg-type]
-    with pytest.raises(SchemaError, match="compute reflectance"):
-        extract_signatures(made().drop_vars("reflectance"), TWO)
-    with pytest.raises(SchemaError, match="'wavelength' is missing"):
-        extract_signatures(made().drop_vars("wavelength"), TWO)
 
 
 # --- several lines, and the library ------------------------------------------------------------------------
@@ -244,20 +250,28 @@ def test_regions_of_several_flight_lines() -> None:
     tree = xr.DataTree.from_dict({f"/flightlines/{name}": line for name, line in lines.items()})
     assert_same_bits(extract_signatures(tree, regions), library)
     other = made(seed=1).assign_coords(wavelength=("band", np.linspace(400.0, 901.0, 12), {"units": "nm"}))
-    with pytest.raises(SchemaError, match=r"'raw_0'.*bands-differ"):
-        extract_signatures({**lines, "raw_0": other}, regions)
+    expect_error(
+        SchemaError, r"'raw_0'.*bands-differ", lambda: extract_signatures({**lines, "raw_0": other}, regions)
+    )
 
 
 def test_a_region_of_another_line_is_never_taken_for_this_one() -> None:
-    with pytest.raises(SchemaError, match=r"expected 'raw_0' .flight"):
-        extract_signatures(made(), on_lines("raw_7"))
-    with pytest.raises(SchemaError, match=r"(?s)p0.*'a' or 'b'.*p1"):
-        extract_signatures({"a": made(), "b": made()}, on_lines("", "c"))
+    expect_errors(
+        (SchemaError, r"expected 'raw_0' .flight", lambda: extract_signatures(made(), on_lines("raw_7"))),
+        (
+            SchemaError,
+            r"(?s)p0.*'a' or 'b'.*p1",
+            lambda: extract_signatures({"a": made(), "b": made()}, on_lines("", "c")),
+        ),
+    )
     nameless = made()
     del nameless.attrs["name"]
     assert extract_signatures(nameless, on_lines("raw_7")).n.size == 1
-    with pytest.raises(SchemaError, match=r"'p1'.*flightline-unknown"):
-        extract_signatures(nameless, on_lines("raw_7", "raw_8"))
+    expect_error(
+        SchemaError,
+        r"'p1'.*flightline-unknown",
+        lambda: extract_signatures(nameless, on_lines("raw_7", "raw_8")),
+    )
 
 
 def test_the_library_is_that_of_the_table() -> None:
@@ -381,7 +395,7 @@ def test_the_light_of_flakes_is_no_glint() -> None:
     assert int(given.n_excluded[0]) > 10
 
 
-def test_matt_paint_mirrors_no_sky() -> None:
+def test_matt_paint_mirrors_no_sky_and_unknown_finishes_are_told() -> None:
     line = raw()
     sky: dict[str, Any] = {"specular_sky": True, "diffuse": "model", "sun_zenith": 40.0}
     seen, matt, solid = (
@@ -390,12 +404,9 @@ def test_matt_paint_mirrors_no_sky() -> None:
     )
     np.testing.assert_array_equal(matt, seen)
     assert np.nanmax(np.abs(solid - seen)) > 0.0
-
-
-@pytest.mark.parametrize("finish", ["metallic flake", 3])
-def test_a_finish_that_is_not_known_is_told(finish: object) -> None:
-    with pytest.warns(PaintWarning, match="finish-unknown"):
-        extract_signatures(raw(), drawn(finish=finish))
+    for unknown in ("metallic flake", 3):
+        with pytest.warns(PaintWarning, match="finish-unknown"):
+            extract_signatures(line, drawn(finish=unknown))
 
 
 def test_a_drawn_region_has_the_lean_of_its_part() -> None:
@@ -513,15 +524,13 @@ def test_trimmed_mean__leaves_out_values_beyond_three_standard_deviations(
     assert (abs(centre) < 1e-9) == is_trimmed
 
 
-def test_flop__is_of_the_means_of_the_outer_fifths() -> None:
+def test_flop__is_of_the_means_of_the_outer_fifths_of_twenty_members() -> None:
     # Levels from 0.7 to 1.3 in equal steps: the means of the outer fifths are 0.76 and 1.24
-    members = np.linspace(0.7, 1.3, 1001)[:, None] * np.ones(60)
-    assert flop_of(members, EVERY)[1] == pytest.approx(0.48, rel=0.01)
-
-
-@pytest.mark.parametrize(("count", "is_known"), [(22, True), (18, False)])
-def test_flop__needs_twenty_members(count: int, is_known: bool) -> None:
-    assert np.isfinite(flop_of(np.linspace(0.7, 1.3, count)[:, None] * np.ones(60), EVERY)[1]) == is_known
+    flops = [
+        flop_of(np.linspace(0.7, 1.3, count)[:, None] * np.ones(60), EVERY)[1] for count in (1001, 22, 18)
+    ]
+    assert flops[0] == pytest.approx(0.48, rel=0.01)
+    assert np.isfinite(flops).tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(("error", "is_turned"), [(0.09, True), (0.11, False)])
@@ -704,9 +713,7 @@ def test_the_attitude_of_the_camera() -> None:
         assert float(found.view_zenith) == pytest.approx(np.degrees(np.arctan2(np.hypot(east, north), up)))
         assert float(found.view_azimuth) == pytest.approx(np.degrees(np.arctan2(east, north)) % 360)
     assert library.attrs["view_geometry"].startswith("look_angle with roll, pitch, heading")
-
-
-def test_a_level_camera() -> None:
+    # of a level camera
     line = with_camera(made(), turned=0.0, heading=0.0)
     line["look_angle"] = ("cross_track", np.full(16, 10.0), {"units": "degree"})
     library = extract_signatures(line, TWO)

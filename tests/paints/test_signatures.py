@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 from support.analytic_scenes import as_line, bonnet, smooth_edge, wavelengths
 from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, raw
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures, surroundings
@@ -157,9 +158,7 @@ def test_the_same_bits_whatever_the_chunks() -> None:
     expected = extract_signatures(line, TWO)
     for chunks in CHUNKINGS[1:]:
         assert_same_bits(extract_signatures(line.chunk(chunks), TWO), expected)
-
-
-def test_the_same_bits_from_counts() -> None:
+    # and from counts
     line = raw()
     expected = line.paint.signatures(RAW, smooth="box")
     for chunks in CHUNKINGS[1:]:
@@ -200,8 +199,11 @@ def test_regions_read_some_bands_at_a_time(monkeypatch: pytest.MonkeyPatch) -> N
         assert told == sorted(told)
         assert_same_bits(extract_signatures(counts, RAW), from_counts)
     monkeypatch.setattr(extraction, "MAX_COMPLETE_BYTES", size)  # what a geometric median may gather whole
-    with pytest.raises(SchemaError, match=r"'hood'.*region-too-large"):
-        extract_signatures(line, TWO, centre="geometric_median")
+    expect_error(
+        SchemaError,
+        r"'hood'.*region-too-large",
+        lambda: extract_signatures(line, TWO, centre="geometric_median"),
+    )
 
 
 @pytest.mark.slow
@@ -301,7 +303,7 @@ def test_signatures_of_a_simulated_line_are_the_truth_within_noise() -> None:
         assert row.n + row.n_excluded == along.size
 
 
-def test_what_is_told_of_light_and_time() -> None:
+def test_light_and_time_are_told_and_unknown_uncertainties_are_not_zero() -> None:
     line = raw()
     library = line.paint.signatures(RAW)
     along, _ = pixels(RAW[1], line)
@@ -313,6 +315,14 @@ def test_what_is_told_of_light_and_time() -> None:
     age = line.paint.reflectance().irradiance_age.values[along]
     assert library.irradiance_age.values[1] == age.max()
     assert 0 < age.max() < 2
+    # uncertainties that are not known are not zero
+    library = extract_signatures(made(), TWO)
+    assert np.isnan(library.reflectance_u_random).all()
+    assert library.reflectance_u_random.attrs["components"] == "none known"
+    library = extract_signatures(raw().drop_vars("radiance_gain_u_systematic"), RAW)
+    assert np.isnan(library.reflectance_u_systematic).all()
+    assert (library.reflectance_u_random[:, 1:-1] > 0).all()
+    np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))
 
 
 # --- how sure it is ----------------------------------------------------------------------------------------
@@ -407,16 +417,6 @@ def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
     np.testing.assert_allclose(row.reflectance_u_random, np.sqrt(square / float(row.n)), rtol=1e-5)
     assert row.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_systematic"
     assert "electrons_per_count" in row.reflectance_u_random.attrs["components"]
-
-
-def test_uncertainties_that_are_not_known_are_not_zero() -> None:
-    library = extract_signatures(made(), TWO)
-    assert np.isnan(library.reflectance_u_random).all()
-    assert library.reflectance_u_random.attrs["components"] == "none known"
-    library = extract_signatures(raw().drop_vars("radiance_gain_u_systematic"), RAW)
-    assert np.isnan(library.reflectance_u_systematic).all()
-    assert (library.reflectance_u_random[:, 1:-1] > 0).all()
-    np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))
 
 
 def test_reflectance_without_uncertainty_gets_that_of_its_counts() -> None:
