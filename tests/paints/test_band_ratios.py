@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.noisy_collects import COMMON, WAVELENGTH, noisy_collect, true_reflectance
+from support.refusals import expect_errors
 
 from hyperpaint import Region, extract_signatures
 from hyperpaint.base.errors import SchemaError
@@ -108,10 +109,10 @@ def test_a_library_without_sources_has_a_covariance() -> None:
     np.testing.assert_allclose(own, total, rtol=1e-6)
     both = xr.concat([bare.drop_vars("region"), bare.drop_vars("region")], "signature")
     assert covariance(both).shape == (2, 24, 24)
-    with pytest.raises(SchemaError, match="reflectance_u_random"):
-        covariance(bare.drop_vars("reflectance_u_random"))
-    with pytest.raises(SchemaError, match=r"900 nm.*band-missing"):
-        band_ratio(bare, 900.0, 550.0)
+    expect_errors(
+        (SchemaError, "reflectance_u_random", lambda: covariance(bare.drop_vars("reflectance_u_random"))),
+        (SchemaError, r"900 nm.*band-missing", lambda: band_ratio(bare, 900.0, 550.0)),
+    )
 
 
 def test_libraries_of_other_sources_and_bands() -> None:

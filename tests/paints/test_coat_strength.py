@@ -8,6 +8,7 @@ import xarray as xr
 from oracles.disort_sky import relative_sky
 from oracles.fresnel import plain_fresnel
 from scipy.interpolate import CubicSpline
+from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -175,16 +176,14 @@ def test_ground_has_no_coat_and_refusals(no_compute: Any) -> None:
     assert (both.coat_transmission[1] == 1.0).all()
     assert (both.coat_transmission_u[1] == 0.0).all()
     assert both.reflectance.dtype == np.float32
-    with pytest.raises(SchemaError, match="mirrored-sky-included"):
-        hp.surroundings.correct_coat(seen)
+    expect_error(SchemaError, "mirrored-sky-included", lambda: hp.surroundings.correct_coat(seen))
     bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
     body = hp.surroundings.correct_coat(bare, diffuse="model")
-    with pytest.raises(SchemaError, match="corrected-before"):
-        hp.surroundings.correct_coat(body)
-    with pytest.raises(SchemaError, match="correct the coat last"):
-        hp.surroundings.remove_mirrored_sky(body)
-    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
-        hp.surroundings.correct_coat(bare, index=0.9)
+    expect_errors(
+        (SchemaError, "corrected-before", lambda: hp.surroundings.correct_coat(body)),
+        (SchemaError, "correct the coat last", lambda: hp.surroundings.remove_mirrored_sky(body)),
+        (SchemaError, r"index=0\.9, expected 1", lambda: hp.surroundings.correct_coat(bare, index=0.9)),
+    )
     seen = seen.assign(reflectance=seen.reflectance.chunk(along_track=4))
     seen = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
     with no_compute():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from support.refusals import refusal
+from support.refusals import expect_error, expect_words, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -282,10 +282,9 @@ def test_nothing_is_computed_before_it_is_asked_for(red: xr.Dataset) -> None:
 
 def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
     line = make_line(red)
-    with pytest.raises(SchemaError, match="choice-unknown") as raised:
-        hp.paints.detect(line, red, method="x", false_alarm_rate=0.0, unknown_rate=2.0, shrinkage=-1.0)
-    for option in ("false_alarm_rate", "unknown_rate", "shrinkage"):
-        assert option in str(raised.value)
+    wrong: dict[str, Any] = {"method": "x", "false_alarm_rate": 0.0, "unknown_rate": 2.0, "shrinkage": -1.0}
+    error = expect_error(SchemaError, "choice-unknown", lambda: hp.paints.detect(line, red, **wrong))
+    expect_words(str(error), *wrong)
     far = red.assign_coords(wavelength=red["wavelength"] + 2000.0)
     flat = line.assign(reflectance=line["reflectance"].isel(band=[0]).isel(band=[0] * 30))
     columns = xr.DataArray(np.arange(40), dims="cross_track")
@@ -312,7 +311,7 @@ def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
 # --- regions -----------------------------------------------------------------------------------------------
 
 
-def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
+def test_regions_with_and_without_a_paint_and_of_another_line(red: xr.Dataset) -> None:
     found = make_line(red).paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
     outlines = {"car": (8, 10), "road": (22, 40)}
     regions = Regions(
@@ -327,8 +326,21 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
     assert placements[0] > 60
     assert cars["p_value"].values[0] == pytest.approx(1 / (placements[0] + 1))
     assert cars["p_value"].values[1] == 1.0
-    with pytest.raises(SchemaError, match=r"'off'.*region-empty"):
-        hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
+    expect_error(
+        SchemaError,
+        r"'off'.*region-empty",
+        lambda: hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),))),
+    )
+    # of another line
+    detections = hp.paints.detect(make_line(red).assign_attrs(name="raw_0"), red, false_alarm_rate=1e-2)
+    corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
+    own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
+    assert own["signature"].item() == RED
+    expect_error(
+        SchemaError,
+        "flightline-unknown",
+        lambda: hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")]),
+    )
 
 
 def test_background_may_be_regions_and_per_cent_is_told(red: xr.Dataset) -> None:
@@ -362,15 +374,6 @@ def test_p_values_know_that_the_paint_was_chosen() -> None:
     assert np.mean(np.array(p_values) <= 0.05) < 0.08
 
 
-def test_regions_of_another_line_are_refused(red: xr.Dataset) -> None:
-    detections = hp.paints.detect(make_line(red).assign_attrs(name="raw_0"), red, false_alarm_rate=1e-2)
-    corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
-    own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
-    assert own["signature"].item() == RED
-    with pytest.raises(SchemaError, match="flightline-unknown"):
-        hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")])
-
-
 # --- pictures and the command ------------------------------------------------------------------------------
 
 
@@ -396,27 +399,6 @@ def test_curve_of_detections(red: xr.Dataset, tmp_path: Any) -> None:
         hp.pictures.detection_curve(named, np.zeros((96, 40), bool))
 
 
-def test_command(red: xr.Dataset, tmp_path: Any) -> None:
-    hp.to_store(make_line(red), tmp_path / "line.zarr")
-    hp.write_library(red, tmp_path / "red.zarr")
-    hp.write_regions(
-        Regions((Region("car", [(8, 10), (13, 10), (13, 15), (8, 15)]),)), tmp_path / "cars.geojson"
-    )
-    told = CliRunner().invoke(
-        main,
-        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"),
-         "--false-alarm-rate", "0.01",
-         "--regions", str(tmp_path / "cars.geojson"), "--out", str(tmp_path / "found.zarr"), "--quiet"],
-    )  # fmt: skip
-    assert told.exit_code == 0, told.output
-    assert f"{RED}  " in told.output
-    assert "car" in told.output
-    found = xr.open_zarr(tmp_path / "found.zarr")
-    assert found["detected"].values[10:16, 8:14].any()
-    ours = make_line(red).paint.detect(red, false_alarm_rate=0.01)
-    np.testing.assert_array_equal(found["detected"].values, ours["detected"].values)
-
-
 def test_command_takes_regions_of_its_line_alone(red: xr.Dataset, tmp_path: Any) -> None:
     hp.to_store(make_line(red).assign_attrs(name="raw_0"), tmp_path / "line.zarr")
     hp.write_library(red, tmp_path / "red.zarr")
@@ -434,6 +416,7 @@ def test_command_takes_regions_of_its_line_alone(red: xr.Dataset, tmp_path: Any)
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     assert "1 of 2 regions are of other flight lines" in result.output
+    assert f"{RED}  " in result.output
     assert "car" in result.output.splitlines()[-1]
     assert "because a paint explains them: 0 of the pixels" in result.output
     clear = np.zeros((96, 40), bool)

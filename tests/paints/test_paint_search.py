@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.library_examples import make_library
+from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
@@ -130,8 +131,7 @@ def test_spectra_on_other_bands_and_in_other_units(paints: xr.Dataset) -> None:
     found = hp.paints.search_library(paints, like=like, limit=1)
     assert (names(found), float(found.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-5))
     like.wavelength.attrs["units"] = "K"
-    with pytest.raises(UnitsError):
-        hp.paints.search_library(paints, like=like)
+    expect_error(UnitsError, None, lambda: hp.paints.search_library(paints, like=like))
     # Rationale: a straight line over 300 nm of a red paint is another paint
     whole = paints.isel(signature=5).reflectance
     for hole in (
@@ -143,13 +143,6 @@ def test_spectra_on_other_bands_and_in_other_units(paints: xr.Dataset) -> None:
     # but a lost sample is what interpolation is for, and so are coarser detectors
     sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
     assert np.isfinite(one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
-
-
-def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
-    lazy = paints.assign(member_reflectance=paints.member_reflectance.chunk({"signature": 4}))
-    with no_compute():
-        found = hp.paints.search_library(lazy, colour="red", limit=2)
-    assert isinstance(found.member_reflectance.data, dask.array.Array)
 
 
 @pytest.mark.parametrize(
@@ -172,16 +165,21 @@ def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
     ],
 )
 def test_what_cannot_be_searched_for(paints: xr.Dataset, options: dict[str, Any], text: str) -> None:
-    with pytest.raises(SchemaError, match=text):
-        hp.paints.search_library(paints, **options)
+    expect_error(SchemaError, text, lambda: hp.paints.search_library(paints, **options))
 
 
-def test_a_library_beyond_the_visible_has_no_colours() -> None:
+def test_a_library_beyond_the_visible_has_no_colours(paints: xr.Dataset, no_compute: Any) -> None:
     infrared = hp.paints.starter_library(members=0, wavelength=np.linspace(800.0, 1000.0, 20))
     assert set(infrared.srgb.values) == {""}
-    with pytest.raises(SchemaError, match="visible-bands-missing"):
-        hp.paints.search_library(infrared, colour="red")
+    expect_error(
+        SchemaError, "visible-bands-missing", lambda: hp.paints.search_library(infrared, colour="red")
+    )
     assert hp.paints.search_library(infrared, like=RED, limit=1)["signature"].item() == RED
+    # members stay lazy
+    lazy = paints.assign(member_reflectance=paints.member_reflectance.chunk({"signature": 4}))
+    with no_compute():
+        found = hp.paints.search_library(lazy, colour="red", limit=2)
+    assert isinstance(found.member_reflectance.data, dask.array.Array)
 
 
 # --- CIE Lab and CIEDE2000 against published values -------------------------------------------------------
@@ -210,21 +208,16 @@ def test_published_pairs(one: tuple[float, ...], other: tuple[float, ...], expec
     assert ciede2000(other, one) == pytest.approx(expected, abs=5e-5)
 
 
-def test_lab_of_the_primaries() -> None:
-    # the usual values of sRGB's primaries under D65
-    expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86]]
-    np.testing.assert_allclose(lab_of(np.eye(3)), expected, atol=0.02)
-
-
-def test_names_and_digits() -> None:
+def test_names_digits_and_lab_of_colours() -> None:
     for name, digits in COLOURS.items():
         assert srgb_hex(parse_colour(name)) == digits
         np.testing.assert_array_equal(parse_colour(digits.upper()), parse_colour(name))
     assert srgb_hex(parse_colour(" GRAY")) == COLOURS["grey"]
     assert (srgb_hex(parse_colour("Dark_Red")), srgb_hex([np.nan, 0.0, 0.0])) == (COLOURS["dark red"], "")
-
-
-@pytest.mark.parametrize(("colour", "hint"), [("rde", "did you mean 'red'"), ("#12345", "colour-unknown")])
-def test_what_is_no_colour(colour: str, hint: str) -> None:
-    with pytest.raises(SchemaError, match=hint):
-        parse_colour(colour)
+    expect_errors(
+        (SchemaError, "did you mean 'red'", lambda: parse_colour("rde")),
+        (SchemaError, "colour-unknown", lambda: parse_colour("#12345")),
+    )
+    # the usual values of sRGB's primaries under D65
+    expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86]]
+    np.testing.assert_allclose(lab_of(np.eye(3)), expected, atol=0.02)

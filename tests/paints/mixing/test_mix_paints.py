@@ -10,6 +10,7 @@ import xarray as xr
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from support.library_examples import make_library
+from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -102,12 +103,19 @@ def test_mixtures_lie_between_their_parents(first: list[float], second: list[flo
     assert ((made >= np.minimum(low, 0.96)) & (made <= np.maximum(high, 4e-4))).all()
 
 
-def test_one_parent_alone_is_itself_and_members_go_along(paints: xr.Dataset) -> None:
+def test_one_parent_alone_is_itself_with_members_and_coat(paints: xr.Dataset) -> None:
     made = hp.paints.mix_paints(paints, {"same": {RED: 2.0, WHITE: 0.0}})
     np.testing.assert_allclose(made.reflectance[0], paints.reflectance[5], rtol=2e-6)
     np.testing.assert_allclose(made.member_reflectance[0], paints.member_reflectance[5], rtol=2e-6)
     np.testing.assert_allclose(made.reflectance_sd[0], paints.reflectance_sd[5], rtol=1e-3, atol=1e-7)
     np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5])
+    # a coat in percent is converted
+    percent = paints.assign(
+        specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
+    )
+    mixed = hp.paints.mix_paints(percent, {"same": {RED: 1.0}})
+    for made in (mixed, hp.paints.shade_paints(percent.isel(signature=[5]), [1.0])):
+        np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)
 
 
 def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Path) -> None:
@@ -152,14 +160,16 @@ def test_what_cannot_be_mixed_is_refused_all_at_once() -> None:
 )
 def test_impossible_coats_are_refused(options: dict[str, Any], text: str) -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
-    with pytest.raises(SchemaError, match=text):
-        hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, **options)
+    expect_error(SchemaError, text, lambda: hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, **options))
 
 
 def test_less_light_than_the_coat_mirrors_is_refused_with_a_way_out() -> None:
     field = library_of({"black": [0.03, 0.02], "white": [0.8, 0.8]}, "included")
-    with pytest.raises(SchemaError, match=r"100%.*paint-too-dark"):
-        hp.paints.mix_paints(field, {"grey": {"black": 1, "white": 9}})
+    expect_error(
+        SchemaError,
+        r"100%.*paint-too-dark",
+        lambda: hp.paints.mix_paints(field, {"grey": {"black": 1, "white": 9}}),
+    )
     made = hp.paints.mix_paints(field, {"grey": {"black": 1, "white": 9}}, mirrored=[0.016, 0.004])
     assert (made.reflectance > 0.02).all()
 
@@ -196,8 +206,7 @@ def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
 
 @pytest.mark.parametrize("depths", [[], [0.0], [np.nan], 2.0])
 def test_depths_that_cannot_be(paints: xr.Dataset, depths: Any) -> None:
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        hp.paints.shade_paints(paints, depths)
+    expect_error(SchemaError, "value-out-of-range", lambda: hp.paints.shade_paints(paints, depths))
 
 
 # --- members, and units ---
@@ -246,15 +255,6 @@ def test_members_without_a_partner_are_left_out_with_a_warning(method: Any) -> N
     assert "member_reflectance" not in alone
 
 
-def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
-    percent = paints.assign(
-        specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
-    )
-    mixed = hp.paints.mix_paints(percent, {"same": {RED: 1.0}})
-    for made in (mixed, hp.paints.shade_paints(percent.isel(signature=[5]), [1.0])):
-        np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)
-
-
 # --- the thick layer, its interface, and what they are worth against another way to the same numbers ------
 
 
@@ -283,8 +283,7 @@ def test_judds_table_and_the_interface() -> None:
     simulated = np.array([Paint(q)(np.array([550.0]))[0] for q in ratio])
     mine = Interface().k1 + Interface().outside(thick_layer_reflectance(ratio))
     np.testing.assert_allclose(mine, simulated, rtol=1e-12)
-    with pytest.raises(SchemaError, match=r"(?s)k1=1\.0.*k2=-0\.1"):
-        Interface(1.0, -0.1)
+    expect_error(SchemaError, r"(?s)k1=1\.0.*k2=-0\.1", lambda: Interface(1.0, -0.1))
 
 
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.9), st.floats(0.0, 0.9))
@@ -341,13 +340,11 @@ def test_mean_covariance_and_groups_are_kept() -> None:
     assert (level < 0.38).mean() == pytest.approx(1 / 3, abs=0.05)
     normal = draw_variants(population(), 4000, np.random.default_rng(0), bandwidth=20.0)[:, -1]
     assert between < 0.5 * ((normal > 0.35) & (normal < 0.42)).mean()
-
-
-def test_no_bandwidth_repeats_members() -> None:
-    own = population(30)
-    drawn = draw_variants(own, 50, np.random.default_rng(0), bandwidth=0.0)
-    mean = own.mean(axis=0)
-    apart = [np.abs((own - mean) - (one - mean) / np.sqrt(30 / 29)).mean(axis=1).min() for one in drawn]
+    # no bandwidth repeats members
+    few = population(30)
+    drawn = draw_variants(few, 50, np.random.default_rng(0), bandwidth=0.0)
+    middle = few.mean(axis=0)
+    apart = [np.abs((few - middle) - (one - middle) / np.sqrt(30 / 29)).mean(axis=1).min() for one in drawn]
     assert max(apart) < 2e-3
 
 
@@ -402,15 +399,26 @@ def test_members_left_out_and_clipped_are_warned_of() -> None:
     [({"count": 0}, "count=0"), ({"form": "x"}, "form='x'"), ({"bandwidth": -1.0}, "bandwidth=-1.0")],
 )
 def test_options_that_cannot_be(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(SchemaError, match=text):
-        hp.paints.sample_paints(library_of_paints(population()), **{"count": 3, **options})
+    expect_error(
+        SchemaError,
+        text,
+        lambda: hp.paints.sample_paints(library_of_paints(population()), **{"count": 3, **options}),
+    )
 
 
 def test_a_library_without_a_population_is_refused() -> None:
-    with pytest.raises(SchemaError, match="member_reflectance"):
-        hp.paints.sample_paints(hp.paints.starter_library(members=0), 3)
-    with pytest.raises(SchemaError, match=r"(?s)0' has 1.*1' has 0"):
-        hp.paints.sample_paints(library_of_paints(population()[:1], np.full((1, 40), np.nan)), 3)
+    expect_errors(
+        (
+            SchemaError,
+            "member_reflectance",
+            lambda: hp.paints.sample_paints(hp.paints.starter_library(members=0), 3),
+        ),
+        (
+            SchemaError,
+            r"(?s)0' has 1.*1' has 0",
+            lambda: hp.paints.sample_paints(library_of_paints(population()[:1], np.full((1, 40), np.nan)), 3),
+        ),
+    )
     library = library_of_paints(population())
     library["specular_reflectance"] = xr.full_like(library.reflectance, 4.0).assign_attrs(units="percent")
     drawn = hp.paints.sample_paints(library, 3)
