@@ -23,7 +23,7 @@ ROOMS = {
     "light": ("light", ["light", "surroundings/test_corrections.py"]),
     "signatures": ("paints/signatures", ["paints"]),
     "store": ("io/store", ["io/store", "workflows/test_pipeline.py"]),
-    "spectrometers": ("io/spectrometers", ["io/spectrometers", "validation/test_validation_real_files.py"]),
+    "spectrometers": ("io/spectrometers", ["io/spectrometers", "validation/test_validate.py"]),
     "surroundings": ("surroundings", ["surroundings", "regions"]),
     "regions": ("regions", ["regions", "system"]),
 }

@@ -12,7 +12,7 @@ import xarray as xr
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
-from support.refusals import expect_errors, expect_refusals, expect_words
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -37,6 +37,16 @@ def panel_of(value: float) -> xr.DataArray:
     )
 
 
+@pytest.fixture
+def signatures() -> xr.Dataset:
+    return agreeing()[0]
+
+
+@pytest.fixture
+def references() -> xr.Dataset:
+    return agreeing()[1]
+
+
 # --- common bands ------------------------------------------------------------------------------------------
 
 
@@ -51,8 +61,7 @@ def test_two_instruments_that_see_one_paint_agree() -> None:
     assert found.statistics["coverage"].min() > 0.999
 
 
-def test_statistics_are_those_of_plain_numpy() -> None:
-    signatures, references = agreeing()
+def test_statistics_are_those_of_plain_numpy(signatures: xr.Dataset, references: xr.Dataset) -> None:
     signatures["reflectance"] = signatures["reflectance"] * 1.1 + np.float32(0.01)
     signatures["reflectance"].attrs["units"] = "1"
     found = hp.validate(signatures, references, parts={"red": (600.0, 700.0)}, tolerance=0.001)
@@ -75,14 +84,6 @@ def test_identical_libraries_agree_wholly() -> None:
     assert found.passed
     assert (found.statistics[["bias", "rmse", "mae", "spectral_angle"]].to_array() == 0).all()
     assert found.statistics["signature"].values.tolist() == ["hood", "roof"]
-
-
-def test_a_factor_moves_scale_alone() -> None:
-    signatures, references = agreeing()
-    brighter = signatures.assign(reflectance=(signatures["reflectance"] * 1.25).assign_attrs(units="1"))
-    one, other = hp.validate(signatures, references), hp.validate(brighter, references)
-    assert value_of(other, "scale") == pytest.approx(1.25 * value_of(one, "scale"), rel=1e-6)
-    assert value_of(other, "scale_free_error") == pytest.approx(value_of(one, "scale_free_error"), abs=2e-8)
 
 
 def test_a_coarser_reference_is_not_sharpened() -> None:
@@ -115,8 +116,7 @@ def test_bands_that_are_not_seen_whole_are_left_out_and_counted() -> None:
     assert np.isnan(spectra["reference"].values[~used]).all()
 
 
-def test_missing_samples_cost_their_bands_only() -> None:
-    signatures, references = agreeing()
+def test_missing_samples_cost_their_bands_only(signatures: xr.Dataset, references: xr.Dataset) -> None:
     references["reflectance"][0, 200:215] = np.nan  # 580 to 594 nm
     signatures["reflectance"][0, 3] = np.nan
     signatures = signatures.assign_coords(good=("band", np.arange(NM.size) != 50))
@@ -149,20 +149,17 @@ def test_detectors_that_overlap_serve_to_the_middle() -> None:
     "wavelength", [[], [1.0, np.nan], [5.0, 1.0] * 20, [1.0, 2.0, 9.0, 3.0, 2.5, 2.6, 2.7]]
 )
 def test_wavelengths_in_no_order(wavelength: list[float]) -> None:
-    with pytest.raises(SchemaError):
-        join_detectors(np.array(wavelength))
+    expect_error(SchemaError, None, lambda: join_detectors(np.array(wavelength)))
 
 
-def test_a_file_may_descend() -> None:
-    signatures, references = agreeing()
+def test_a_file_may_descend(signatures: xr.Dataset, references: xr.Dataset) -> None:
     turned = references.isel(wavelength=slice(None, None, -1))
     backwards = signatures.isel(band=slice(None, None, -1))
     one, other = hp.validate(signatures, references), hp.validate(backwards, turned)
     assert value_of(one, "rmse") == pytest.approx(value_of(other, "rmse"), abs=1e-12)
 
 
-def test_units_are_converted_and_wanted() -> None:
-    signatures, references = agreeing()
+def test_units_are_converted_and_wanted(signatures: xr.Dataset, references: xr.Dataset) -> None:
     percent = references.assign(reflectance=(100 * references["reflectance"]).assign_attrs(units="percent"))
     percent = percent.assign_coords(
         wavelength=("wavelength", percent.wavelength.values / 1e3, {"units": "um"})
@@ -171,7 +168,11 @@ def test_units_are_converted_and_wanted() -> None:
     bare = references.assign(reflectance=references["reflectance"].assign_attrs(units="sr-1"))
     expect_errors((SchemaError, r"reference 1:.*'sr-1'", lambda: hp.validate(signatures, bare)))
     del references["reflectance"].attrs["units"]
-    expect_errors((SchemaError, "units-missing", lambda: hp.validate(signatures, references)))
+    signatures["reflectance"].attrs["units"] = "furlong"
+    expect_errors(
+        (SchemaError, "units-missing", lambda: hp.validate(agreeing()[0], references)),
+        ((SchemaError, UnitsError), "furlong", lambda: hp.validate(signatures, agreeing()[1])),
+    )
 
 
 # --- wavelengths that are wrong ----------------------------------------------------------------------------
@@ -225,8 +226,9 @@ def test_nothing_known_is_said_so() -> None:
     assert "signature_u" not in found.spectra[0]
 
 
-def test_a_standard_deviation_stands_for_an_unknown_uncertainty() -> None:
-    signatures, references = agreeing()
+def test_a_standard_deviation_stands_for_an_unknown_uncertainty(
+    signatures: xr.Dataset, references: xr.Dataset
+) -> None:
     sd = ("spectrum", "wavelength"), 0.1 * references["reflectance"].values, {"units": "1"}
     counted = references.assign(reflectance_sd=sd, n=("spectrum", [25]))
     assert (
@@ -299,11 +301,11 @@ def test_pairs_by_place_where_no_name_matches() -> None:
     assert "ambiguous: 10.0 m from red-02, 12.2 m from hood, with an accuracy of 15 m" in str(
         again.unpaired_references
     )
-    with pytest.raises(
+    expect_error(
         SchemaError,
-        match=r"by place: 2\.2 m from red-01, .* as 1 more of its instrument: readings of it, or of",
-    ):
-        hp.validate(paints, references.isel(spectrum=[0, 5]))
+        r"by place: 2\.2 m from red-01, .* as 1 more of its instrument: readings of it, or of",
+        lambda: hp.validate(paints, references.isel(spectrum=[0, 5])),
+    )
     # a name that is asked for, or that a region states, needs no place
     stated = hp.validate(paints, references, {"roof": "c"})
     assert stated.statistics["reference"].values.tolist() == ["c"]
@@ -314,17 +316,16 @@ def test_pairs_that_are_said() -> None:
     references = field([smooth(FIELD_NM)] * 2, ["a", "b"])
     found = hp.validate(paints, references, {"roof": "a"})
     assert (found.statistics["signature"].values.tolist(), found.unpaired_signatures) == (["roof"], ("hood",))
-    with pytest.raises(SchemaError) as refused:
-        hp.validate(paints, references, {"door": "a", "hood": ["a", "c"]})
-    assert refused.value.codes == ("paint-unknown", "reference-unknown")
-    assert refused.value.problems[1].expected == "'a', 'b'"
+    refused = expect_error(
+        SchemaError, None, lambda: hp.validate(paints, references, {"door": "a", "hood": ["a", "c"]})
+    )
+    assert refused.codes == ("paint-unknown", "reference-unknown")
+    assert refused.problems[1].expected == "'a', 'b'"
     expect_errors((SchemaError, "reference-unmatched", lambda: hp.validate(paints, references)))
-    with pytest.raises(SchemaError, match=r"list.*type-wrong"):
-        hp.validate(paints, references, [("hood", "a")])  # type: ignore[arg-type]
+    expect_error(SchemaError, r"list.*type-wrong", lambda: hp.validate(paints, references, [("hood", "a")]))
 
 
-def test_instruments_are_compared_apart() -> None:
-    signatures, references = agreeing()
+def test_instruments_are_compared_apart(signatures: xr.Dataset, references: xr.Dataset) -> None:
     nm = np.arange(390.0, 1011.0, 1.5)
     other = field(1.1 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
     with pytest.warns(PaintWarning, match=r"VIS, NIR, all.*references-disagree"):
@@ -397,8 +398,7 @@ def test_every_row_says_whether_it_passes() -> None:
 # --- what is refused, and what is told ---------------------------------------------------------------------
 
 
-def test_a_panel_scales_what_is_relative() -> None:
-    signatures, references = agreeing()
+def test_a_panel_scales_what_is_relative(signatures: xr.Dataset, references: xr.Dataset) -> None:
     panel = panel_of(0.9)
     found = hp.validate(signatures, references, panel=panel)
     assert value_of(found, "scale") == pytest.approx(1 / 0.9, rel=1e-4)
@@ -419,8 +419,7 @@ def test_a_panel_scales_what_is_relative() -> None:
     assert not left["used"].values[(NM < 500) | (NM > 600)].any()
 
 
-def test_the_surface_of_a_panel_scales_by_the_sun() -> None:
-    signatures, references = agreeing()
+def test_the_surface_of_a_panel_scales_by_the_sun(signatures: xr.Dataset, references: xr.Dataset) -> None:
     panel = panel_of(0.98)
     # summer and autumn at noon in Rochester: the sun at 21 and 54 degrees
     for day, zenith, factor in (("2021-07-01", 20.0, 1.057), ("2021-10-12", 50.9, 1.002)):
@@ -444,8 +443,7 @@ def test_the_surface_of_a_panel_scales_by_the_sun() -> None:
     )  # fmt: skip
 
 
-def test_matched_detectors_are_told() -> None:
-    signatures, references = agreeing()
+def test_matched_detectors_are_told(signatures: xr.Dataset, references: xr.Dataset) -> None:
     told = references.assign_coords(
         overlap=("spectrum", np.array(["removed @ 970, 1901 nm"], object)),
         overlap_matched=("spectrum", [True]),
@@ -459,8 +457,7 @@ def test_matched_detectors_are_told() -> None:
     assert "overlap-matched" not in unknown.table()
 
 
-def test_mirrored_sky_on_one_side_only_warns() -> None:
-    signatures, references = agreeing()
+def test_mirrored_sky_on_one_side_only_warns(signatures: xr.Dataset, references: xr.Dataset) -> None:
     body = signatures.assign(reflectance=signatures["reflectance"].assign_attrs(mirror_reflection="excluded"))
     whole = references.assign_attrs(mirror_reflection="included")
     with pytest.warns(PaintWarning, match="mirrored-sky-differs") as noted:
@@ -489,16 +486,16 @@ def test_mirrored_sky_on_one_side_only_warns() -> None:
         ({"signatures": 3}, "type-wrong"),
     ],
 )
-def test_wrong_calls(change: dict[str, Any], told: str) -> None:
-    signatures, references = agreeing()
+def test_wrong_calls(
+    signatures: xr.Dataset, references: xr.Dataset, change: dict[str, Any], told: str
+) -> None:
     call = {"signatures": signatures, "references": references, **change}
     expect_errors(
         (SchemaError, told, lambda: hp.validate(call.pop("signatures"), call.pop("references"), **call))
     )
 
 
-def test_parts_without_bands_are_not_judged() -> None:
-    signatures, references = agreeing()
+def test_parts_without_bands_are_not_judged(signatures: xr.Dataset, references: xr.Dataset) -> None:
     found = hp.validate(signatures.isel(band=slice(0, 20)), references)
     assert found.statistics["bands"].sel(part="NIR").item() == 0
     assert np.isnan(value_of(found, "rmse", "NIR"))
@@ -506,8 +503,7 @@ def test_parts_without_bands_are_not_judged() -> None:
     assert " NIR " not in found.table()
 
 
-def test_tolerance_of_several_statistics() -> None:
-    signatures, references = agreeing()
+def test_tolerance_of_several_statistics(signatures: xr.Dataset, references: xr.Dataset) -> None:
     brighter = signatures.assign(reflectance=(signatures["reflectance"] * 1.1).assign_attrs(units="1"))
     assert hp.validate(brighter, references, tolerance={"spectral_angle": 0.06, "scale": 0.11}).passed
     assert not hp.validate(brighter, references, tolerance={"spectral_angle": 0.06, "scale": 0.09}).passed
@@ -531,12 +527,6 @@ def test_dtypes_and_units() -> None:
     assert (table["spectral_angle"].attrs["units"], table["bands"].dtype) == ("degree", np.int64)
     assert table["passes"].dtype == bool
     assert all(array.attrs["long_name"] for array in table.data_vars.values())
-
-
-def test_units_error_of_signatures() -> None:
-    signatures, references = agreeing()
-    signatures["reflectance"].attrs["units"] = "furlong"
-    expect_errors(((SchemaError, UnitsError), "furlong", lambda: hp.validate(signatures, references)))
 
 
 # --- Which readings belong together: of one name, one folder and one instrument ---
@@ -625,9 +615,8 @@ def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:
 
 def test_paints_of_one_name_are_refused() -> None:
     paints = library([seen(NM, 6.0)] * 2, ("hood", "hood"))
-    with pytest.raises(SchemaError) as refused:
-        hp.validate(paints, agreeing()[1])
-    assert refused.value.codes == ("paint-duplicate",) * 2
+    refused = expect_error(SchemaError, None, lambda: hp.validate(paints, agreeing()[1]))
+    assert refused.codes == ("paint-duplicate",) * 2
     # each names its own
     assert (
         hp.validate(
@@ -638,8 +627,9 @@ def test_paints_of_one_name_are_refused() -> None:
     )
 
 
-def test_a_relative_reference_without_its_panel_is_told() -> None:
-    signatures, references = agreeing()
+def test_a_relative_reference_without_its_panel_is_told(
+    signatures: xr.Dataset, references: xr.Dataset
+) -> None:
     told = "the reference is relative to a white panel, the signature is absolute"
     assert any(
         told in note and "pass panel=" in note for note in hp.validate(signatures, references).notes[0]
@@ -742,8 +732,7 @@ def test_errors_of_opposite_signs_leave_the_mean_over_bands() -> None:
 # --- What must not pass: what was not compared, and what has no reference ---
 
 
-def test_a_part_that_is_asked_for_needs_bands() -> None:
-    signatures, references = agreeing()
+def test_a_part_that_is_asked_for_needs_bands(signatures: xr.Dataset, references: xr.Dataset) -> None:
     found = hp.validate(signatures, references, parts={"red": (600.0, 700.0), "SWIR": (1500.0, 1700.0)})
     assert found.statistics["passes"].values.tolist() == [[True, False]]
     assert (found.statistics["judged"].values.tolist(), found.passed) == ([[True, False]], False)
@@ -809,8 +798,7 @@ def test_all_paints_can_be_required() -> None:
 
 
 @pytest.mark.parametrize("wrong", [1e-7, 1e-3, 1e4])
-def test_widths_of_channels_have_bounds(wrong: float) -> None:
-    signatures, references = agreeing()
+def test_widths_of_channels_have_bounds(signatures: xr.Dataset, references: xr.Dataset, wrong: float) -> None:
     widths = np.full(references.sizes["wavelength"], 3.0)
     widths[150] = wrong
     bad = references.assign_coords(fwhm=("wavelength", widths, {"units": "nm"}))
@@ -846,30 +834,23 @@ def test_statistics_by_hand() -> None:
 
 
 @given(SPECTRA, SPECTRA, st.floats(0.2, 5.0))
-def test_what_a_factor_does_not_change(s: np.ndarray, r: np.ndarray, factor: float) -> None:
-    one, other = statistics_of(s, r), statistics_of(factor * s, r)
+def test_statistics_of_any_spectra(s: np.ndarray, r: np.ndarray, factor: float) -> None:
+    one, other, swapped = statistics_of(s, r), statistics_of(factor * s, r), statistics_of(r, s)
+    # what a factor does not change
     assert other["scale_free_error"] == pytest.approx(one["scale_free_error"], rel=1e-9, abs=1e-12)
     assert other["spectral_angle"] == pytest.approx(one["spectral_angle"], rel=1e-7, abs=1e-12)
     assert other["scale"] == pytest.approx(factor * one["scale"])
-
-
-@given(SPECTRA, SPECTRA)
-def test_order_of_sizes(s: np.ndarray, r: np.ndarray) -> None:
-    found = statistics_of(s, r)
-    assert abs(found["bias"]) <= found["mae"] + 1e-15
-    assert found["mae"] <= found["rmse"] + 1e-15
-    swapped = statistics_of(r, s)
-    assert swapped["bias"] == pytest.approx(-found["bias"], abs=1e-15)
+    # order of sizes, and of the spectra
+    assert abs(one["bias"]) <= one["mae"] + 1e-15
+    assert one["mae"] <= one["rmse"] + 1e-15
+    assert swapped["bias"] == pytest.approx(-one["bias"], abs=1e-15)
     for name in ("rmse", "mae", "spectral_angle"):
-        assert swapped[name] == pytest.approx(found[name], abs=1e-12)
-
-
-@given(SPECTRA, st.floats(0.2, 5.0))
-def test_equal_shapes_have_no_angle(s: np.ndarray, factor: float) -> None:
-    found = statistics_of(s, s)
-    assert [float(found[name]) for name in ("bias", "rmse", "mae", "spectral_angle")] == [0.0] * 4
-    assert found["scale"] == pytest.approx(1.0, abs=1e-15)
-    assert found["scale_free_error"] < 1e-15
+        assert swapped[name] == pytest.approx(one[name], abs=1e-12)
+    # equal spectra, and equal shapes
+    same = statistics_of(s, s)
+    assert [float(same[name]) for name in ("bias", "rmse", "mae", "spectral_angle")] == [0.0] * 4
+    assert same["scale"] == pytest.approx(1.0, abs=1e-15)
+    assert same["scale_free_error"] < 1e-15
     assert statistics_of(factor * s, s)["spectral_angle"] < 1e-13
 
 
@@ -1025,3 +1006,207 @@ def test_a_metallic_is_judged_at_the_geometry_of_its_reference_only() -> None:
     assert (found.passed, found.verdict[:11]) == (True, "1 of 1 pair")
     assert found.verdict.endswith("1 pair not judged")
     assert "not judged" in found.table()
+
+
+# --- Real spectra of a field spectrometer, at the bands of a real camera ---
+
+
+def _insitu(path: Path) -> xr.Dataset:
+    nm, mean, sd = np.loadtxt(path, comments="#", unpack=True, encoding="latin-1")
+    return field(mean, (path.stem.removeprefix("insitu_"),), nm=nm, fwhm=None).assign(
+        reflectance_sd=(("spectrum", "wavelength"), sd[None], {"units": "1"})
+    )
+
+
+def _bands(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    table = np.loadtxt(folder / "20170320_ang20170228_wavelength_fit.txt")
+    return 1e3 * table[:, 1], 1e3 * table[:, 2]
+
+
+@pytest.mark.real_data
+def test_field_spectra_at_the_bands_of_a_real_camera(shared_data: Path) -> None:
+    # The width that is missing between an ASD and AVIRIS-NG, by a plain convolution
+    folder = shared_data / "radiance_vs_field"
+    lawn = _insitu(folder / "insitu_BeckmanLawn.txt")
+    at = lawn["wavelength"].values
+    centre, fwhm = _bands(folder)
+    here = (centre > 400) & (centre < 980)
+    centre, fwhm = centre[here], fwhm[here]
+    weight = np.exp(-4 * np.log(2) * ((at - centre[:, None]) / np.sqrt(fwhm**2 - 3.0**2)[:, None]) ** 2)
+    paints = library(
+        weight @ lawn["reflectance"].values[0] / weight.sum(axis=1), ("BeckmanLawn",), nm=centre, fwhm=None
+    ).assign_coords(fwhm=("band", fwhm, {"units": "nm"}))
+    found = hp.validate(paints, lawn)
+    assert found.statistics["bands"].sel(part="all").item() == here.sum()
+    assert value_of(found, "rmse") < 1e-4
+    assert any("as usual for ASD" in note for note in found.notes[0])
+    assert value_of(found, "scale_u") > 0.02  # of 68 readings whose number is not told
+
+
+@pytest.mark.real_data
+def test_red_turf_from_the_air_against_the_field(shared_data: Path) -> None:
+    # AVIRIS-NG with the lawn for a panel: colour as on the ground, level to some per cent
+    folder = shared_data / "radiance_vs_field"
+    centre, fwhm = _bands(folder)
+    field_lawn, field_red = (
+        _insitu(folder / f"insitu_{name}.txt") for name in ("BeckmanLawn", "AstroRedBaseball")
+    )
+    nm, red = np.loadtxt(folder / "ang20171108t184227_rdn_v2p11_AstroRedBaseball.txt", unpack=True)
+    lawn = np.loadtxt(folder / "ang20171108t184227_rdn_v2p11_BeckmanLawn.txt")[:, 1]
+    np.testing.assert_allclose(nm, centre, atol=0.1)
+    here = (centre > 560) & (centre < 690)  # little path radiance, little of the lawn's red edge
+    paints = library(
+        (np.interp(centre, field_lawn["wavelength"], field_lawn["reflectance"].values[0]) * red / lawn)[here],
+        ("AstroRedBaseball",),
+        nm=centre[here],
+        fwhm=None,
+    )
+    paints = paints.assign_coords(fwhm=("band", fwhm[here], {"units": "nm"}))
+    found = hp.validate(paints, field_red, tolerance=1.0)
+    assert value_of(found, "spectral_angle") < 12.0
+    assert 0.6 < value_of(found, "scale") < 1.5
+
+
+@pytest.mark.real_data
+def test_real_files_of_an_svc_before_and_after_matching(shared_data: Path) -> None:
+    # The vendor's matching moves reflectance below the join; which file that is, the result says
+    folder = shared_data / "svc_sig"
+    raw, matched = (hp.open_svc(folder / f"BNL13001_000{end}.sig", utc_offset_h=0.0) for end in ("", "_moc"))
+    found = []
+    for source in (raw, matched):
+        at = source["wavelength"].values[:512]
+        first = source["reflectance"].values[0, :512]
+        bands = np.arange(420.0, 950.0, 5.0)
+        missing = np.sqrt(6.0**2 - 3.5**2)
+        weight = np.exp(-4 * np.log(2) * ((at[at < 965] - bands[:, None]) / missing) ** 2)
+        weight *= np.gradient(at[at < 965])
+        found.append(
+            hp.validate(
+                library(
+                    weight @ first[at < 965] / weight.sum(axis=1),
+                    (str(source["spectrum"].values[0]),),
+                    nm=bands,
+                ),
+                source,
+            )
+        )
+    for one in found:
+        assert value_of(one, "rmse") < 2e-4
+    assert found[0].statistics.overlap.item() == "preserved"
+    assert not found[0].statistics.overlap_matched.item()
+    assert found[1].statistics.overlap_matched.item()
+    assert "the reference is overlap-matched" in found[1].table()
+    apart = hp.validate(
+        library(
+            found[0].spectra[0]["signature"].values, ("BNL13001_000_moc",), nm=np.arange(420.0, 950.0, 5.0)
+        ),
+        matched,
+        tolerance=0.005,
+    )
+    # the known values at 550 nm: 8.49 % before, 8.35 % after
+    assert apart.spectra[0]["difference"].values[
+        np.abs(np.arange(420.0, 950.0, 5.0) - 550).argmin()
+    ] == pytest.approx(0.0849 - 0.0835, abs=3e-4)
+    assert value_of(apart, "bias", "NIR") > 0.005
+    assert not apart.passed
+
+
+@pytest.mark.real_data
+def test_a_white_reference_seen_as_a_target_is_white(shared_data: Path) -> None:
+    white = hp.open_svc(
+        shared_data / "svc_sig" / "ACPL_D2_P1_T_1_WR_000.sig", dayfirst=False, utc_offset_h=-5.0
+    )
+    bands = np.arange(420.0, 900.0, 5.0)
+    paint = library(np.ones(bands.size), ("panel",), nm=bands)
+    found = hp.validate(paint, white, {"panel": "ACPL_D2_P1_T_1_WR_000"})
+    assert abs(value_of(found, "scale") - 1.0) < 0.005
+    panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
+    scaled = hp.validate(
+        library(np.ones(bands.size), ("panel",), nm=bands), white, {"panel": "ACPL_D2_P1_T_1_WR_000"},
+        panel=panel, tolerance=1.0,
+    )  # fmt: skip
+    expected = 1 / np.interp(bands, panel["wavelength"], panel).mean()
+    assert value_of(scaled, "scale") == pytest.approx(expected, rel=0.01)
+
+
+# --- one pigment panel by five laboratories with cameras, beside a spectrophotometer
+
+SAMPLES = (
+    *("burnt umber thin", "burnt umber thick", "carmine thin", "carmine thick", "vermilion thin"),
+    *("vermilion thick", "malachite thin", "malachite thick", "azurite thin", "azurite thick"),
+    *("lead white", "ivory black", "gypsum ground"),
+)
+LABORATORIES = {
+    "Hyspex_VNIR1600": 0.038, "Hyspex_VNIR1800": 0.038, "Specim_V10E_1": 0.035, "Specim_V10E_2": 0.041,
+    "Specim_V10E_3": 0.047,
+}  # fmt: skip
+
+
+def reference(folder: Path) -> xr.Dataset:
+    table = np.loadtxt(folder / "pigment_panel_reference.csv")
+    table = table[table[:, 0] < 1100.0]
+    return field(table[:, 1:].T, SAMPLES, nm=table[:, 0], fwhm=None, instrument="spectrophotometer")
+
+
+def laboratory(folder: Path, name: str) -> tuple[xr.Dataset, np.ndarray]:
+    # Return a laboratory's library, and its RMSE by a plain interpolation (sample,)
+    table = np.loadtxt(folder / f"{name}.csv")
+    table = table[(table[:, 0] >= 420.0) & (table[:, 0] <= 950.0)]
+    known = np.loadtxt(folder / "pigment_panel_reference.csv")
+    away = [
+        table[:, 2 + k] - np.interp(table[:, 0], known[:, 0], known[:, 1 + k]) for k in range(len(SAMPLES))
+    ]
+    return library(table[:, 2:].T, SAMPLES, nm=table[:, 0], fwhm=None), np.sqrt(
+        (np.array(away) ** 2).mean(axis=1)
+    )
+
+
+def validated(paints: xr.Dataset, references: xr.Dataset) -> tuple[np.ndarray, list[str]]:
+    # Return the RMSE of every paint, and what was said
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        agreement = hp.validate(paints, references)
+    return np.array([value_of(agreement, "rmse", pair=pair) for pair in range(paints.sizes["signature"])]), [
+        str(each.message) for each in said
+    ]
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", LABORATORIES)
+def test_a_laboratorys_own_figures(shared_data: Path, name: str) -> None:
+    folder = shared_data / "round_robin"
+    paints, plain = laboratory(folder, name)
+    rmse, said = validated(paints, reference(folder))
+    np.testing.assert_allclose(rmse, plain, atol=1e-3)
+    assert np.sqrt((rmse**2).mean()) == pytest.approx(LABORATORIES[name], abs=6e-4)
+    exchanged = [text for text in said if "were exchanged" in text]
+    assert len(exchanged) == 1
+    assert exchanged[0].startswith(
+        "burnt umber thin and burnt umber thick: each agrees with the reference of"
+    )
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", LABORATORIES)
+def test_put_right_nothing_is_said(shared_data: Path, name: str) -> None:
+    folder = shared_data / "round_robin"
+    paints, _ = laboratory(folder, name)
+    rmse, said = validated(
+        paints.assign_coords(signature=[SAMPLES[1], SAMPLES[0], *SAMPLES[2:]]), reference(folder)
+    )
+    assert not [text for text in said if "were exchanged" in text]
+    assert 0.029 < np.sqrt((rmse**2).mean()) < 0.0435
+
+
+def test_exchanged_names_are_noticed_and_paints_alike_are_not() -> None:
+    nm = np.arange(380.0, 1021.0)
+    levels = {"a": 1.0, "b": 1.2, "c": 1.21}
+    names = tuple(levels)
+    spectra = np.stack([level * seen(NM, 6.0) for level in levels.values()])
+    references = field(np.stack([level * seen(nm, 3.0) for level in levels.values()]), names, nm=nm)
+    assert not validated(library(spectra, names), references)[1]
+    _, said = validated(library(spectra[[1, 0, 2]], names), references)
+    assert [text.split(":")[0] for text in said] == ["a and b"]
+    # all off alike: whose reference is nearer is chance
+    _, said = validated(library(0.9 * spectra[[0, 2, 1]], names), references)
+    assert not said
