@@ -1,7 +1,9 @@
 """The table of variables, and the two doors through which variables pass."""
 
+import pickle
 import subprocess
 import sys
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -9,21 +11,37 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
+from support.key_tables import DOCS, PAGES, key_table, with_tables
 from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
+import hyperpaint
 import hyperpaint as hp
-from hyperpaint.base import facts, schema
-from hyperpaint.base.errors import MissingExtraError, PaintError, SchemaError, UnitsError
+from hyperpaint.base import errors, facts, schema
+from hyperpaint.base.errors import MissingExtraError, PaintError, Problems, SchemaError, UnitsError
 from hyperpaint.base.facts import (
+    PARAMETERS,
+    Fact,
+    arguments_of,
+    by_key,
     canonical,
+    check_fields,
     conversion_factor,
     convert,
+    declared,
+    documented,
+    fact,
+    is_number,
     plain,
     quantify,
     registry,
     same_dimension,
 )
+from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import VARIABLES, Quality, label, rename_to_roles, require
+from hyperpaint.io.dirsig.dirsig_writing import Coats, PaintCurves
+from hyperpaint.paints.paint_libraries import coating_of
+from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.validation.validating import _library_spectra
 
 
 def test_every_row_is_whole() -> None:
@@ -323,11 +341,9 @@ def test_pi_sr_makes_a_reflectance() -> None:
     irradiance = units.Quantity(1.0, units.parse_units("W m-2 nm-1"))
     assert str((np.pi * units.steradian * radiance / irradiance).dimensionality) == "dimensionless"
     assert "solid_angle" in str((np.pi * radiance / irradiance).dimensionality)
-
-
-def test_the_registry_is_private() -> None:
+    # the registry is private: that of others stays as it was
     pint = pytest.importorskip("pint")
-    assert pint.get_application_registry().get() is not registry()
+    assert pint.get_application_registry().get() is not units
     assert pint.UnitRegistry()("sr").dimensionless
 
 
@@ -392,8 +408,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize("found", [None, 5, 1.0, b"nm", ["nm"]])
 def test_units_are_text(found: object) -> None:
-    with pytest.raises(UnitsError, match="type-wrong"):
-        canonical(found)  # type: ignore[arg-type]
+    expect_error(UnitsError, "type-wrong", lambda: canonical(found))
 
 
 def test_every_unit_of_the_table_is_read() -> None:
@@ -425,16 +440,11 @@ def test_convert_is_lazy(no_compute: Any) -> None:
         made = convert(array, "nm")
     assert made.chunks is not None
     assert made.dtype == made.compute().dtype == np.float32
-
-
-def test_a_missing_unit_is_named() -> None:
+    # a unit that is missing or wrong is named
+    bare, wrong = (xr.DataArray(1.0, name="fwhm", attrs=attrs) for attrs in ({}, {"units": "s"}))
     expect_errors(
-        (UnitsError, r"'fwhm' .*units-missing", lambda: convert(xr.DataArray(1.0, name="fwhm"), "nm")),
-        (
-            UnitsError,
-            "'fwhm': units",
-            lambda: convert(xr.DataArray(1.0, name="fwhm", attrs={"units": "s"}), "nm"),
-        ),
+        (UnitsError, r"'fwhm' .*units-missing", lambda: convert(bare, "nm")),
+        (UnitsError, "'fwhm': units", lambda: convert(wrong, "nm")),
     )
 
 
@@ -469,3 +479,233 @@ def test_quantify_lists_what_it_cannot_read() -> None:
 def test_quantify_without_pint_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pint_xarray", None)
     expect_error(MissingExtraError, r"hyperpaint\[units\]", lambda: quantify(xr.Dataset()))
+
+
+# --- Errors a user can catch by what they are, and that name everything at once ---
+
+
+def test_every_error_has_the_base_and_a_builtin() -> None:
+    builtin = {
+        "UnitsError": ValueError,
+        "SchemaError": ValueError,
+        "FormatError": ValueError,
+        "TimeError": ValueError,
+        "CollectError": ValueError,
+        "StoreError": OSError,
+        "IncompleteStoreError": errors.StoreError,
+        "MissingExtraError": ImportError,
+    }
+    for name, parent in builtin.items():
+        error = getattr(errors, name)
+        assert issubclass(error, errors.PaintError)
+        assert issubclass(error, parent)
+        assert getattr(hyperpaint.errors, name) is error
+    assert issubclass(errors.PaintWarning, UserWarning)
+
+
+def test_errors_survive_a_process_boundary() -> None:
+    # a task that fails on a worker must not fail twice
+    for name in errors.__all__:
+        error = getattr(errors, name)
+        if isinstance(error, type) and issubclass(error, errors.PaintError):
+            copy = pickle.loads(pickle.dumps(error("2 lights", expected="1", code="light-number")))
+            assert (str(copy), copy.codes) == ("2 lights, expected 1 [light-number]", ("light-number",))
+
+
+def test_problems_are_listed_together() -> None:
+    problems = errors.Problems("the file", errors.FormatError)
+    problems.raise_if_any()
+    problems.add("one")
+    problems.add("two\nlines")
+    assert (list(problems), len(problems)) == (["one", "two\nlines"], 2)
+    caught = expect_error(errors.FormatError, None, lambda: problems.raise_if_any())
+    assert str(caught) == "the file:\n  one\n  two\n  lines"
+
+
+def test_a_missing_extra_says_how_to_install_it() -> None:
+    error = errors.MissingExtraError.of("matplotlib", "viz", "a picture")
+    assert error.codes == ("extra-missing",)
+    assert "hyperpaint[viz]" in error.problem.mend
+
+
+# --- Facts: checks, messages, docstrings and tables that follow from one declaration
+
+
+@pytest.mark.parametrize(
+    ("options", "good", "bad"),
+    [
+        ({"kind": "number"}, [0, -1.5, np.float32(2)], [True, "1", None, float("nan"), 10**400]),
+        ({"kind": "number", "least": 0, "above": True, "most": 1.2}, [1.2, 1e-9], [0, 1.3, -1]),
+        ({"kind": "number", "least": 0, "most": 1, "below": True}, [0, 0.99], [1, -0.1]),
+        ({"kind": "whole", "least": 1, "most": 16}, [1, 16, np.int64(3)], [0, 17, 2.0, True]),
+        ({"kind": "flag"}, [True, False], [1, "true", None]),
+        ({"kind": "choice", "choices": ("a", "b")}, ["a"], ["c", 1, ["a"], None]),
+        ({"kind": "text"}, ["a"], ["", " ", 3]),
+        ({"kind": "texts"}, ["a", ["a", "b"]], [[], ["a", 3], ""]),
+        ({"kind": "words"}, [[], ["a"]], ["a", [3]]),
+        ({"kind": "words", "choices": ("a",)}, [[], ["a"]], ["a", ["b"]]),
+        ({"kind": "numbers", "length": 2}, [[1, 2], (1.0, 2.0)], [[1], 1, [1, "2"], [1, True]]),
+        ({"kind": "numbers", "single": True, "least": 0}, [1, [1, 2, 3], np.ones(2)], [[], -1, [1, -1]]),
+        ({"kind": "number", "optional": True}, [None, 1], ["1"]),
+        ({"kind": "table"}, [{}], [[]]),
+        ({"kind": "own", "accepts": callable, "phrase": "a function"}, [len], [3]),
+    ],
+)
+def test_kinds(options: dict[str, Any], good: list[Any], bad: list[Any]) -> None:
+    one = Fact(doc="value", **options)
+    assert [one.fault(value) for value in good] == [None] * len(good)
+    assert None not in [one.fault(value) for value in bad]
+    assert one.expected
+
+
+def test_keys_have_the_units_of_the_file() -> None:
+    keys = by_key([Fact(doc="length", kind="number", name="length", key="length_m", scale=1.0)])
+    assert arguments_of(keys, {"length_m": 0.1234567890123456}) == {"length": 0.1234567890123456}
+    assert isinstance(arguments_of(keys, {"length_m": 2})["length"], float)
+    exposure = Fact(
+        doc="exposure", kind="number", name="exposure", key="exposure_ms", scale=1e-3, least=0.0, most=3600.0,
+        default=5e-3,
+    )  # fmt: skip
+    key = by_key([exposure])["exposure_ms"]
+    assert (key.default, key.most, key.argument(7)) == (5.0, 3.6e6, 0.007)
+    assert "| `exposure_ms` | a number from 0 to 3.6e+06 | `5.0` | exposure |" in key_table(
+        {"exposure_ms": key}
+    )
+
+
+def test_a_declared_class_documents_its_fields() -> None:
+    @declared
+    @dataclass
+    class Lamp:
+        """A lamp.
+
+        Raises
+        ------
+        SchemaError
+            Wrong.
+        """
+
+        power: float = fact(3.0, "radiant flux", unit="W", least=0)
+
+        def __post_init__(self) -> None:
+            problems = Problems("no lamp", SchemaError)
+            check_fields(self, problems)
+            problems.raise_if_any()
+
+    assert Lamp.__doc__ == (
+        "A lamp.\n\nAttributes\n----------\npower\n    Radiant flux [W]; a number from 0.\n\n"
+        "Raises\n------\nSchemaError\n    Wrong."
+    )
+    expect_error(SchemaError, "value-out-of-range", lambda: Lamp(-1.0))
+
+
+def test_pint_quantities_follow_from_the_facts() -> None:
+    pint = pytest.importorskip("pint")
+    assert SimulationSettings(exposure_time_ms=pint.Quantity(4.0, "ms")).exposure_time_ms == 4.0
+    assert SimulationSettings(swath=pint.Quantity(16.0, "m")).swath == 16.0
+
+
+def test_every_field_of_the_simulator_is_documented() -> None:
+    for name in SimulationSettings.__dataclass_fields__:
+        assert f"\n{name}\n    " in (SimulationSettings.__doc__ or ""), name
+
+
+def test_shared_parameters_are_described() -> None:
+    @documented(depth="Number of levels.", width="picture")
+    def walk(depth: int, overwrite: bool, own: int, width: str, **kwargs: int) -> None:
+        """Walk.
+
+        Parameters
+        ----------
+        depth
+        own
+            Described here.
+        overwrite
+        width
+        **kwargs
+
+        Returns
+        -------
+        Nothing.
+        """
+
+    doc = walk.__doc__ or ""
+    expect_words(
+        doc,
+        "depth\n    Number of levels.\nown\n    Described here.\noverwrite\n    Replace the output",
+        f"\nwidth\n    {PARAMETERS['picture']}\n**kwargs\n    Passed to",
+    )
+    assert doc.endswith("\n\nReturns\n-------\nNothing.")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_have_the_keys_of_the_facts(page: str) -> None:
+    assert (DOCS / page).read_text(encoding="utf-8") == with_tables(page)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        *((value, True) for value in (np.array(0.04), xr.DataArray(37.25), np.float32(1.0))),
+        *((value, False) for value in (np.array([0.04]), np.array(True), np.array("1"))),
+    ],
+)
+def test_a_number_may_be_an_array_without_dims(value: Any, expected: bool) -> None:
+    assert is_number(value) is expected
+
+
+# --- Whether reflectance holds mirrored light, told alike to all who ask ---
+
+
+CASES = [
+    ({}, False, None),
+    ({"mirror_reflection": "included"}, False, INCLUDED),
+    ({"mirror_reflection": "excluded"}, False, EXCLUDED),
+    ({}, True, EXCLUDED),
+    ({"mirror_reflection": "included"}, True, INCLUDED),
+    ({"mirrored_sky_removed": "F0 0.04 x sky view 1 x diffuse fraction (model)"}, False, EXCLUDED),
+    ({"mirrored_sky_removed": "none"}, False, INCLUDED),
+    ({"mirrored_sky_removed": ""}, False, INCLUDED),
+    ({"mirrored_sky_removed": "F0 0.04; none"}, False, INCLUDED),
+    ({"mirrored_sky_removed": "none"}, True, EXCLUDED),
+    ({"mirrored_sky_removed": "F0 0.04", "mirror_reflection": "included"}, False, INCLUDED),
+]
+
+
+def library(attrs: dict[str, str], apart: bool) -> xr.Dataset:
+    spectra = (("signature", "band"), np.full((1, 3), 0.3, np.float32), {"units": "1"})
+    made = xr.Dataset(
+        {"reflectance": spectra},
+        {"signature": ["red"], "wavelength": ("band", [450.0, 550.0, 650.0], {"units": "nm"})},
+    )
+    if apart:
+        made["specular_reflectance"] = spectra
+    made["reflectance"].attrs |= attrs
+    return made
+
+
+@pytest.mark.parametrize(("attrs", "apart", "expected"), CASES)
+def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str | None) -> None:
+    paints = library(attrs, apart)
+    assert mirror_reflection(paints) == expected
+    attrs = PaintCurves(paints, Coats(np.zeros(1), np.zeros(1))).attrs
+    assert attrs["mirror_reflection"] == (expected or INCLUDED)
+    assert attrs["mirror_reflection_source"].startswith("stated") == (expected is not None)
+    assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
+    assert next(_library_spectra(paints, 0, None, "band")).mirror == (expected or "unknown")
+
+
+def test_the_word_may_stand_at_the_library() -> None:
+    paints = library({}, False).assign_attrs(mirror_reflection="excluded")
+    assert mirror_reflection(paints) == EXCLUDED
+    paints["reflectance"].attrs["mirror_reflection"] = "included"
+    assert mirror_reflection(paints) == INCLUDED
+
+
+def test_another_word_is_refused() -> None:
+    paints = library({"mirror_reflection": "yes"}, False)
+    expect_errors(
+        (SchemaError, r"'yes'.*choice-unknown", lambda: mirror_reflection(paints)),
+        (SchemaError, "'yes'", lambda: hp.paints.mix_paints(paints, {"same": {"red": 1.0}})),
+        (SchemaError, "'yes'", lambda: PaintCurves(paints, Coats(np.zeros(1), np.zeros(1)))),
+    )
