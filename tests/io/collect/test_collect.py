@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals, refusal
+from support.files import write_file
+from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
@@ -57,9 +58,10 @@ def change(folder: Path, *pairs: tuple[str, str], end: str = "") -> Path:
 
 
 def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
-    with pytest.raises(CollectError) as caught:
-        (hp.open_collect if opened else read_collect)(path, **options)
-    return str(caught.value)
+    caught = expect_error(
+        CollectError, None, lambda: (hp.open_collect if opened else read_collect)(path, **options)
+    )
+    return str(caught)
 
 
 # --- what is right -----------------------------------------------------------------------------------------
@@ -361,8 +363,9 @@ def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None
     assert set(run(collect, out).written) >= {"references/svc", "references/asd"}
     assert run(collect, out).written == ()
     (collect.parent / "svc" / "red.sig").rename(collect.parent / "svc" / "crimson.sig")
-    with refusal(hp.StoreError, "store-exists", "/references/svc", "other inputs"):
-        run(collect, out)
+    expect_refusals(
+        (hp.StoreError, "store-exists", "/references/svc", "other inputs", lambda: run(collect, out))
+    )
     assert run(collect, out, overwrite=True).written == ("references/svc",)
     assert "crimson" in hp.open_store(out, "references/svc")["spectrum"].values.tolist()
     assert hp.verify(out).ok
@@ -385,16 +388,14 @@ def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None
 def test_globs_that_recurse_or_never_end_or_match_a_pipe(pattern: str, match: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "sky.asd")
     (tmp_path / "sky_1.asd").touch()
-    path = tmp_path / "collect.toml"
-    path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
+    path = write_file(tmp_path / "collect.toml", f'[irradiance]\nfiles = "{pattern}"\n')
     expect_errors((CollectError, match, lambda: read_collect(path)))
 
 
 @pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "0x" + "f" * 5000, "[0x" + "f" * 5000 + "]"])
 def test_whole_numbers_beyond_float64(number: str, tmp_path: Path) -> None:
     # OverflowError: int too large to convert to float; ValueError where it is printed
-    path = tmp_path / "collect.toml"
-    path.write_text(f"[camera]\nexposure_time_ms = {number}\n")
+    path = write_file(tmp_path / "collect.toml", f"[camera]\nexposure_time_ms = {number}\n")
     error = expect_error(CollectError, None, lambda: read_collect(path))
     assert error.codes[0] == ("type-wrong" if number.startswith("[") else "not-finite")
     assert "exposure_time_ms" in error.problems[0].found
@@ -406,8 +407,7 @@ def test_irradiance_beyond_float32(cell: str, tmp_path: Path) -> None:
     path = tmp_path / "sky.csv"
     rows = "2024-05-21T12:00:00Z,0.9,0.9,0.9\n" + f"2024-05-21T12:00:02Z,0.9,{cell},0.9\n"
     path.write_text(f"# units: kW m-2 nm-1\n# fwhm_nm: 3\ntime,500,600,700\n{rows}")
-    with refusal(FormatError, "value-out-of-range", "sky.csv:5"):
-        open_irradiance(path)
+    expect_refusals((FormatError, "value-out-of-range", "sky.csv:5", lambda: open_irradiance(path)))
 
 
 def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:
@@ -427,8 +427,11 @@ def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:
 def test_wavelengths_beyond_float64(lists: str) -> None:
     # RuntimeWarning: overflow encountered in multiply
     head = "ENVI\nsamples = 1\nlines = 1\nbands = 2\ndata type = 12\ninterleave = bil\nbyte order = 0\n"
-    with pytest.raises(FormatError, match="not-finite"):
-        parse_header(f"{head}wavelength units = Meters\n{lists}\n", "cube.hdr")
+    expect_error(
+        FormatError,
+        "not-finite",
+        lambda: parse_header(f"{head}wavelength units = Meters\n{lists}\n", "cube.hdr"),
+    )
 
 
 # --- Cubes of one flight: one line where the recording goes on, else lines of their own, with the reason ---
