@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
+from support.files import write_file
 from support.refusals import expect_error, expect_refusals, refusal
 from support.servers import s3_bucket, web_server
 
@@ -100,8 +101,7 @@ def test_cubes_are_read_by_ranges(day: str, monkeypatch: pytest.MonkeyPatch) -> 
     assert "is not copied" in mirrored(url).read_text()
     # a cube that has changed since is refused
     fsspec.filesystem("memory").pipe(url.removeprefix("memory:/"), bytes(35 * 12 * 16 * 2))
-    with refusal(FormatError, "file-changed", "raw_0"):
-        line["counts"].isel(along_track=4).load()
+    expect_refusals((FormatError, "file-changed", "raw_0", lambda: line["counts"].isel(along_track=4).load()))
 
 
 def test_a_text_that_changes_is_copied_again(day: str) -> None:
@@ -112,8 +112,7 @@ def test_a_text_that_changes_is_copied_again(day: str) -> None:
         )
         assert list(hp.read_regions(regions).names) == names
     memory.rm(regions.removeprefix("memory:/"))
-    with refusal(FormatError, "file-unreadable", regions):
-        hp.read_regions(regions)
+    expect_refusals((FormatError, "file-unreadable", regions, lambda: hp.read_regions(regions)))
 
 
 @pytest.mark.parametrize("scheme", ["memory", pytest.param("s3", marks=pytest.mark.slow)])
@@ -192,15 +191,20 @@ def test_a_local_collect_may_name_urls(day: str, flight: Path, local: Path, tmp_
 
 
 def test_a_collect_behind_a_url_names_no_file_of_this_machine(day: str, tmp_path: Path) -> None:
-    secret = tmp_path / "secret.txt"
-    secret.write_text("1")
+    secret = write_file(tmp_path / "secret.txt", "1")
     memory, name = fsspec.filesystem("memory"), f"{day}/flight/collect.toml".removeprefix("memory:/")
     text = memory.cat_file(name).decode()
     for path in (str(secret), "../" * 20 + str(secret)[1:]):
         other = re.sub(r"(?m)^frame_index = .*$", f'frame_index = "{path}"', text)
         memory.pipe(name, other.encode())
-        with refusal(CollectError, "file-not-found", "frame_index"):
-            hp.open_collect(f"{day}/flight/collect.toml")
+        expect_refusals(
+            (
+                CollectError,
+                "file-not-found",
+                "frame_index",
+                lambda: hp.open_collect(f"{day}/flight/collect.toml"),
+            )
+        )
     for pattern in (f"{tmp_path}/*.txt", "../" * 20 + f"{tmp_path}/*.txt"[1:]):
         memory.pipe(name, re.sub(r"(?m)^files = .*asd.*$", f'files = "{pattern}"', text).encode())
         error = expect_error(
@@ -213,15 +217,27 @@ def test_a_web_server_gives_files_by_name(flight: Path, tmp_path: Path) -> None:
     with web_server(flight.parent) as address:
         line = open_envi(f"{address}/flight/raw_0.hdr")
         xr.testing.assert_equal(line.load(), open_envi(flight.parent / "flight/raw_0.hdr").load())
-        with refusal(FormatError, "file-unreadable", f"{address}/none.sig"):
-            hp.open_svc(f"{address}/none.sig")
+        expect_refusals(
+            (
+                FormatError,
+                "file-unreadable",
+                f"{address}/none.sig",
+                lambda: hp.open_svc(f"{address}/none.sig"),
+            )
+        )
     with open(flight.parent / "flight/large", "wb") as file:
         file.truncate(20 * 2**20)
     with web_server(flight.parent, ranges=False) as address:
         line = open_envi(f"{address}/flight/raw_0.hdr")
         assert line["counts"].isel(along_track=4).values.any()  # small files are read whole
-        with refusal(FormatError, "range-missing", "ranges"):
-            sampled_digest(mirrored(f"{address}/flight/large"))
+        expect_refusals(
+            (
+                FormatError,
+                "range-missing",
+                "ranges",
+                lambda: sampled_digest(mirrored(f"{address}/flight/large")),
+            )
+        )
     with refusal(FormatError, "url-unusable", f"{address}/red.sig"):  # nobody answers there now
         hp.open_svc(f"{address}/red.sig")
 
@@ -272,15 +288,17 @@ def test_products_behind_a_url(day: str, local: Path) -> None:
     page, memory = f"{day}/report.html", fsspec.filesystem("memory")
     hp.report.write_report(local, page)
     assert memory.cat_file(page.removeprefix("memory:/")).startswith(b"<!DOCTYPE html>")
-    with refusal(StoreError, "file-exists", page):
-        hp.report.write_report(local, page)
+    expect_refusals((StoreError, "file-exists", page, lambda: hp.report.write_report(local, page)))
     hp.report.write_site(local, f"{day}/page")
     names = {Path(name).name for name in memory.find(f"{day}/page".removeprefix("memory:/"))}
     assert {"index.html", "site.json", "zarr.json"} <= names
     memory.pipe(f"{day}/photos/holiday.jpg".removeprefix("memory:/"), b"x")
     for write in (hp.report.write_site, hp.report.write_report):  # nothing of others is replaced
-        with pytest.raises(StoreError, match=r"folder-occupied|path-is-folder"):
-            write(local, f"{day}/photos", overwrite=True)
+        expect_error(
+            StoreError,
+            r"folder-occupied|path-is-folder",
+            partial(write, local, f"{day}/photos", overwrite=True),
+        )
     assert memory.cat_file(f"{day}/photos/holiday.jpg".removeprefix("memory:/")) == b"x"
     hp.report.write_site(local, f"{day}/page", flightlines=["raw_0"], overwrite=True)
     assert list_groups(f"{day}/page/store.zarr") == ["flightlines/raw_0"]  # as in a folder
@@ -303,8 +321,7 @@ def test_the_old_group_stays_until_the_new_one_is_complete(day: str, monkeypatch
         patch.setattr(type(memory), "copy", mock.Mock(side_effect=KeyboardInterrupt))
         expect_error(KeyboardInterrupt, None, replace)
     expect_error(StoreError, None, lambda: hp.open_store(store, "a"))
-    with pytest.raises((KeyError, FileNotFoundError)):
-        xr.open_zarr(store, group="a")
+    expect_error((KeyError, FileNotFoundError), None, lambda: xr.open_zarr(store, group="a"))
     replace()
     xr.testing.assert_equal(hp.open_store(store, "a").load(), line(2.0))
     assert hp.verify(store).ok
@@ -323,5 +340,6 @@ def test_an_interrupted_write_is_begun_again(day: str, monkeypatch: pytest.Monke
     assert hp.verify(store).ok
     # arrays that no run of hyperpaint began are those of another program
     fsspec.filesystem("memory").rm(f"{store}/b/zarr.json".removeprefix("memory:/"))
-    with refusal(StoreError, "store-exists", "was not written"):
-        hp.to_store(line + 1, store, "b")
+    expect_refusals(
+        (StoreError, "store-exists", "was not written", lambda: hp.to_store(line + 1, store, "b"))
+    )
