@@ -1,21 +1,35 @@
 """Files as programs write them, and what is wrong with others, said in a sentence."""
 
 import contextlib
+import csv
 import importlib
+import json
+import os
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
-from support.refusals import expect_errors, expect_refusals, expect_words
+from hypothesis import given, settings, strategies as st
+from support import painted_lines
+from support.files import write_file
+from support.library_examples import NAMES, make_library
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 from support.wrong_quantities import NM, Case, objection, remarks, sunlight, table
 
 import hyperpaint as hp
-from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
+from hyperpaint.io.files import publishing
+from hyperpaint.io.library import spectra_files
+from hyperpaint.io.store.writer import MARK_TEXT
 
 HEADER = """ENVI
 samples = {samples}
@@ -26,7 +40,7 @@ interleave = bsq
 byte order = 0
 file type = ENVI Spectral Library
 """
-NAMES = "spectra names = {red, blue}\n"
+SPECTRA_NAMES = "spectra names = {red, blue}\n"
 NANOMETRES = "wavelength units = Nanometers\nwavelength = {450, 550, 650}\n"
 
 
@@ -39,9 +53,7 @@ def write_sli(folder: Path, rows: object, more: str) -> Path:
 
 
 def write_text(folder: Path, text: str, name: str = "red.txt", encoding: str = "utf-8") -> Path:
-    path = folder / name
-    path.write_bytes(text.encode(encoding))
-    return path
+    return write_file(folder / name, text.encode(encoding))
 
 
 ROWS = [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]
@@ -63,7 +75,7 @@ ROWS = [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]
     ],
 )
 def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, scale: float) -> None:
-    library = hp.open_library(write_sli(tmp_path, np.array(ROWS) * scale, NAMES + NANOMETRES + more))
+    library = hp.open_library(write_sli(tmp_path, np.array(ROWS) * scale, SPECTRA_NAMES + NANOMETRES + more))
     np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
     assert library["signature"].values.tolist() == ["red", "blue"]
 
@@ -71,7 +83,9 @@ def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, s
 @pytest.mark.parametrize("unit", ["Micrometers", "um", "Unknown"])
 def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
     library = hp.open_library(
-        write_sli(tmp_path, ROWS, NAMES + f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n")
+        write_sli(
+            tmp_path, ROWS, SPECTRA_NAMES + f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n"
+        )
     )
     np.testing.assert_allclose(library["wavelength"].values, [650.0, 550.0, 450.0])
     assert ("micrometres" in library.attrs.get("notes", "")) == (unit == "Unknown")
@@ -84,25 +98,25 @@ def test_sli__reciprocals_of_wavelength(tmp_path: Path, unit: str, speed: float)
     nm = np.array([650.0, 550.0, 450.0])
     lists = {"wavelength": speed / nm, "fwhm": speed / (nm - 2.5) - speed / (nm + 2.5)}
     text = "".join(f"{key} = {{{', '.join(map(repr, each.tolist()))}}}\n" for key, each in lists.items())
-    library = hp.open_library(write_sli(tmp_path, ROWS, f"{NAMES}wavelength units = {unit}\n{text}"))
+    library = hp.open_library(write_sli(tmp_path, ROWS, f"{SPECTRA_NAMES}wavelength units = {unit}\n{text}"))
     np.testing.assert_allclose(library["wavelength"].values, nm)
     np.testing.assert_allclose(library["fwhm"].values, 5.0, rtol=1e-4)
 
 
-BAND_NUMBERS = NAMES + "wavelength units = Index\nwavelength = {1, 2, 3}\n"
+BAND_NUMBERS = SPECTRA_NAMES + "wavelength units = Index\nwavelength = {1, 2, 3}\n"
 TITLE = "z plot titles = {wavelength, reflectance [*10000]}\n"
 
 
 @pytest.mark.parametrize(
     ("factor", "more", "options", "code"),
     [
-        (100, NAMES + NANOMETRES, {}, "scale-missing"),
-        (100, NAMES + NANOMETRES, {"scale": -1}, "value-out-of-range"),
-        (1e4, f"{NAMES}{NANOMETRES}reflectance scale factor = 1\n{TITLE}", {}, "scale-conflict"),
+        (100, SPECTRA_NAMES + NANOMETRES, {}, "scale-missing"),
+        (100, SPECTRA_NAMES + NANOMETRES, {"scale": -1}, "value-out-of-range"),
+        (1e4, f"{SPECTRA_NAMES}{NANOMETRES}reflectance scale factor = 1\n{TITLE}", {}, "scale-conflict"),
         (1, BAND_NUMBERS, {}, "wavelength-missing"),
         (1, BAND_NUMBERS, {"wavelength": [450, 550]}, "length-mismatch"),
         (1, BAND_NUMBERS, {"wavelength": [[450, np.nan]]}, "value-out-of-range"),
-        (1, f"{NAMES}{NANOMETRES}z plot titles = {{Wavelength, Emissivity}}\n", {}, "quantity-wrong"),
+        (1, f"{SPECTRA_NAMES}{NANOMETRES}z plot titles = {{Wavelength, Emissivity}}\n", {}, "quantity-wrong"),
     ],
 )
 def test_sli__what_is_unclear_is_refused(
@@ -148,20 +162,19 @@ def test_sli__names_that_cannot_be_trusted_are_numbers(tmp_path: Path, names: st
 
 
 def test_sli__bad_bands_are_not_good(tmp_path: Path) -> None:
-    assert hp.open_library(write_sli(tmp_path, ROWS, NAMES + NANOMETRES + "bbl = {1, 0, 1}\n"))[
+    assert hp.open_library(write_sli(tmp_path, ROWS, SPECTRA_NAMES + NANOMETRES + "bbl = {1, 0, 1}\n"))[
         "good"
     ].values.tolist() == [True, False, True]
 
 
 def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
-    path = write_sli(tmp_path, ROWS, NAMES + NANOMETRES)
+    path = write_sli(tmp_path, ROWS, SPECTRA_NAMES + NANOMETRES)
     header = path.with_suffix(".hdr")
     header.write_text(header.read_text().replace("bands = 1", "bands = 2"))
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(FormatError) as caught:
-        hp.open_library(header)
-    assert caught.value.codes == ("dims-wrong", "file-size")
-    expect_words(str(caught.value), "bands is 2, expected 1", "23 bytes, expected 48")
+    caught = expect_error(FormatError, None, lambda: hp.open_library(header))
+    assert caught.codes == ("dims-wrong", "file-size")
+    expect_words(str(caught), "bands is 2, expected 1", "23 bytes, expected 48")
     header.write_text(header.read_text().replace("Spectral Library", "Standard"))
     expect_refusals((FormatError, "length-mismatch", "wavelength", lambda: hp.open_library(header)))
 
@@ -358,12 +371,11 @@ def test_what_the_caller_says__is_never_passed_over(tmp_path: Path) -> None:
     assert library["fwhm"].values.tolist() == [5.0, 6.0]
     for name in ("own.sli", "own.csv", "own.zarr"):
         own = hp.write_library(library, tmp_path / name)
-        with pytest.raises(FormatError, match="option-conflict"):
-            hp.open_library(own, scale=100)
+        expect_error(FormatError, "option-conflict", partial(hp.open_library, own, scale=100))
 
 
 def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
-    path = write_sli(tmp_path, ROWS, NAMES + NANOMETRES)
+    path = write_sli(tmp_path, ROWS, SPECTRA_NAMES + NANOMETRES)
     (tmp_path / "x.csv").write_text("spectra names,kind\nred,car\nblue,van\n")
     table = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n", "x-grey.csv")
     library = hp.open_library(str(tmp_path / "x*"))
@@ -375,7 +387,7 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
 def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
     library = hp.open_library(
         [
-            write_sli(tmp_path, ROWS, NAMES + NANOMETRES + "fwhm = {5, 5, 5}\n"),
+            write_sli(tmp_path, ROWS, SPECTRA_NAMES + NANOMETRES + "fwhm = {5, 5, 5}\n"),
             write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n"),
         ]
     )
@@ -417,12 +429,9 @@ def test_nothing_there__is_said(tmp_path: Path, path: str | list[str]) -> None:
 
 
 def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
-    import xarray as xr
-
     hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
     expect_errors((FormatError, "library-missing", lambda: hp.open_library(tmp_path / "x.zarr")))
-    with pytest.raises(StoreError):
-        hp.open_library(tmp_path / "absent.zarr")
+    expect_error(StoreError, None, lambda: hp.open_library(tmp_path / "absent.zarr"))
 
 
 # --- values that cannot be ---
@@ -487,7 +496,7 @@ def test_marks_of_missing_values_are_missing_at_a_scale_that_hides_them(tmp_path
     # a fill of the header is compared with what is stored, and needs no warning
     rows = np.array(ROWS) * 1e4
     rows[0, 1], rows[1, 0] = -9999.0, -9999.0 if more else -999.0
-    path = write_sli(tmp_path, rows, f"{NAMES}{NANOMETRES}reflectance scale factor = 10000\n{more}")
+    path = write_sli(tmp_path, rows, f"{SPECTRA_NAMES}{NANOMETRES}reflectance scale factor = 10000\n{more}")
     warned = pytest.warns(PaintWarning, match="values-far-below-zero")
     with contextlib.nullcontext() if more else warned:
         values = hp.open_library(path)["reflectance"].values
@@ -737,9 +746,8 @@ def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path)
 @pytest.mark.real_data
 def test_a_folder_of_different_grids__is_one_error_that_names_them_all(text: Path) -> None:
     # Rationale: the ancillary text and the file of wavelengths are no spectra, and are not among them.
-    with pytest.raises(FormatError) as caught:
-        hp.open_library(text)
-    message = str(caught.value)
+    caught = expect_error(FormatError, None, lambda: hp.open_library(text))
+    message = str(caught)
     expect_words(message, without=("ancillary", WAVELENGTHS))
     assert all(name in message for name in (SOIL, METAL, USGS, "R90.txt"))
 
@@ -783,8 +791,11 @@ def each(*spectra: Any, head: str = "name", cells: str = "{}", **options: Any) -
 
     def opened(folder: Path) -> Any:
         rows = [[cells.format(at + 1), *map(str, values)] for at, values in enumerate(spectra)]
-        path = folder / "paints.csv"
-        path.write_text("\n".join(map(",".join, [[head, *map(str, NM)], *rows])) + "\n", encoding="utf-8")
+        path = write_file(
+            folder / "paints.csv",
+            "\n".join(map(",".join, [[head, *map(str, NM)], *rows])) + "\n",
+            encoding="utf-8",
+        )
         return hp.open_library(path, **options)
 
     return opened
@@ -802,8 +813,7 @@ def aster(
             f"Number of X Values: {NM.size}", "",
         ]  # fmt: skip
         rows = [f"{nm / 1e3:.4f}\t{value:.6g}" for nm, value in zip(NM, values, strict=True)]
-        path = folder / "hood.spectrum.txt"
-        path.write_text("\n".join([*head, *rows]) + "\n")
+        path = write_file(folder / "hood.spectrum.txt", "\n".join([*head, *rows]) + "\n")
         return hp.open_library(path)
 
     return opened
@@ -1084,3 +1094,737 @@ def test_statistics_of_a_spectrometers_table_are_no_spectra(names: str, tmp_path
         opened = hp.open_asd(path, quantity="reflectance")
     assert opened.sizes["spectrum"] == 1
     np.testing.assert_allclose(opened["reflectance"].values[0], A, rtol=1e-5)
+
+
+# --- What is written comes back: bit for bit, and byte for byte when it is written again ---
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dataset:
+    # Write, read and write again; the two are the same byte for byte.
+    first = hp.write_library(library, folder / "one" / name, **options)
+    found = hp.open_library(first)
+    second = hp.write_library(found, folder / "two" / name, **options)
+    assert files_of(first.parent) == files_of(second.parent)
+    return found
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    # Expected: every value, dtype, attribute and name, members with their padding, and NaN as it was.
+    for folder, one in (("rising", library), ("falling", library.isel(band=slice(None, None, -1)))):
+        found = trip(one, tmp_path / folder, name, curves="all")
+        xr.testing.assert_identical(found, one)
+    assert {key: found[key].dtype for key in library.variables} == dict(library.dtypes) | {
+        key: library[key].dtype for key in library.coords
+    }
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_files_do_not_depend_on_the_order_of_coordinates(
+    library: xr.Dataset, tmp_path: Path, name: str
+) -> None:
+    # xarray gathers coordinates from sets, whose order follows PYTHONHASHSEED.
+    coords = {key: library.variables[key] for key in reversed([*library.coords])}
+    turned = xr.Dataset(library.reset_coords(drop=True).data_vars, coords, library.attrs)
+    paths = [
+        hp.write_library(one, tmp_path / folder / name, curves="all")
+        for folder, one in (("one", library), ("two", turned))
+    ]
+    one, two = (files_of(path.parent) for path in paths)
+    assert one == two
+
+
+def test_zarr__gives_the_library_back(library: xr.Dataset, tmp_path: Path) -> None:
+    found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr"))
+    assert found["member_reflectance"].chunks is not None
+    for name, variable in library.variables.items():
+        np.testing.assert_array_equal(found[name].values, variable.values, err_msg=str(name))
+    assert hp.verify(tmp_path / "paints.zarr").ok
+
+
+@SPY_ON_NUMPY_2_5
+def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
+    # Expected: SPy finds the centres first, under their names, and members named after their paint.
+    envi = pytest.importorskip("spectral.io.envi")
+    path = hp.write_library(library, tmp_path / "paints.sli", curves="all")
+    theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
+    assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]
+    np.testing.assert_array_equal(theirs.spectra[:5], library["reflectance"].values)
+    np.testing.assert_array_equal(
+        theirs.spectra[list(theirs.names).index("Grün (2) | member 3")],
+        library["member_reflectance"].values[2, 2],
+    )
+    np.testing.assert_array_equal(theirs.bands.centers, library["wavelength"].values)
+    # the header of centres has the columns of the paints
+    path = hp.write_library(library, tmp_path / "centres.sli")
+    theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
+    assert theirs.spectra.shape == library["reflectance"].shape
+    assert theirs.metadata["paint make"] == ["VW", "", "Škoda", "a b", "ß"]
+    assert theirs.metadata["paint year"] == ["2001", "2", "3", "4", "5"]
+
+
+def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path: Path) -> None:
+    with open(
+        hp.write_library(library, tmp_path / "paints.csv", curves="all"), encoding="utf-8-sig", newline=""
+    ) as file:
+        head, *rows = csv.reader(file)
+    assert head[:3] == ["signature", "variable", "place"]
+    first = len(head) - library.sizes["band"]
+    assert [float(cell) for cell in head[first:]] == library["wavelength"].values.tolist()
+    assert ({len(row) for row in rows}, [row[0] for row in rows[:5]]) == ({len(head)}, NAMES)
+    assert [np.float32(cell) for cell in rows[1][first:]] == library["reflectance"].values[1].tolist()
+    members = [row for row in rows if row[1] == "member_reflectance"]
+    assert [(row[0], row[2]) for row in members if row[0].startswith("Grün")] == [
+        *[("Grün", str(place)) for place in (1, 2)],  # padding is left out
+        *[("Grün (2)", str(place)) for place in (1, 2, 3, 4)],
+    ]
+    assert (
+        json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))["coords"]["make"]["data"]
+        == library["make"].values.tolist()
+    )
+
+
+def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:
+    # Expected: a row a paint, what is said of it, then numbers alone; Excel knows UTF-8 by its mark.
+    path = hp.write_library(library, tmp_path / "paints.csv")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbfsignature,make,n,n_eff,quality,time,year,400.0,")
+    table = pd.read_csv(path, keep_default_na=False, na_values={"n_eff": [""]}, dtype={"make": str})
+    assert (table["signature"].tolist(), table["make"].tolist()) == (NAMES, ["VW", "", "Škoda", "a b", "ß"])
+    assert table["year"].tolist() == [2001, 2, 3, 4, 5]
+    np.testing.assert_array_equal(table["n_eff"], library["n_eff"])
+    assert str(table["time"][0]) == "2024-05-21T11:33:07.123456789"
+    values = table.iloc[:, table.columns.get_loc("400.0") :]
+    assert [float(name) for name in values.columns] == library["wavelength"].values.tolist()
+    np.testing.assert_array_equal(values.to_numpy("f4"), library["reflectance"].values)
+    assert (
+        hp.write_library(
+            library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object))),
+            tmp_path / "plain.csv",
+        )
+        .read_bytes()
+        .startswith(b"signature,")
+    )
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_centres__are_the_default_and_come_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    # Expected: the centre and what is said of paints, to the bit; no member, quantile or spread.
+    xr.testing.assert_identical(
+        trip(library, tmp_path, name), library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
+    )
+    if name == "paints.csv":
+        assert len((tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()) == 1 + len(NAMES)
+    else:
+        assert (tmp_path / "one" / name).stat().st_size == 4 * library["reflectance"].size
+
+
+def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None:
+    expect_errors(
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.write_library(library, tmp_path / "paints.csv", curves="members"),
+        )
+    )
+    assert not {"member", "quantile"} & {
+        *hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre")).dims
+    }
+
+
+def test_csv__written_by_earlier_versions_opens(library: xr.Dataset, tmp_path: Path) -> None:
+    # Rationale: the earlier table had no columns between the place and the wavelengths, and no mark.
+    path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        rows = list(csv.reader(file))
+    first = len(rows[0]) - library.sizes["band"]
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(row[:3] + row[first:] for row in rows)
+    xr.testing.assert_identical(hp.open_library(path), library)
+
+
+def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> None:
+    # Expected: a column that is new is taken; one that contradicts the metadata is not, which is said.
+    path = hp.write_library(library, tmp_path / "paints.csv")
+    table = pd.read_csv(path, keep_default_na=False)
+    table.insert(1, "finish", ["matt", "matt", "gloss", "gloss", ""])
+    table.insert(1, "layers", [1, 2, 3, 4, ""])
+    table.to_csv(path, index=False)
+    found = hp.open_library(path)
+    assert found["finish"].values.tolist() == ["matt", "matt", "gloss", "gloss", ""]
+    np.testing.assert_array_equal(found["layers"].values, [1, 2, 3, 4, np.nan])
+    table["make"] = "Seat"
+    table.to_csv(path, index=False)
+    with pytest.warns(PaintWarning, match="metadata-differ"):
+        assert hp.open_library(path)["make"].values[0] == "VW"
+    path.with_name("paints.csv.json").unlink()
+    with pytest.warns(PaintWarning, match="is missing"):
+        found = hp.open_library(path)
+    assert set(found["make"].values) == {"Seat"}
+    np.testing.assert_array_equal(found["reflectance"].values, library["reflectance"].values)
+    assert "n" not in found.variables  # its units are lost
+    hp.write_library(found, tmp_path / "again.csv")
+
+
+@pytest.mark.parametrize(
+    ("first", "row", "said"),
+    [
+        ("signature,make,make,400,500", "a,b,c,1,1", "header-unreadable"),
+        ("paint,my make,400,500", "a,b,1,1", "header-unreadable"),
+        ("signature,make,400,500", "a,1,1", "row 2.*row-unreadable"),
+        ("signature,make,400,500", "a,b,1,x", "row 2: 'a,b,1,x'"),
+        ("signature,make,400,-500", "a,b,1,1", "table-missing"),
+    ],
+)
+def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(f"{first}\n{row}\n")
+    expect_errors((FormatError, said, lambda: hp.open_library(tmp_path / "x.csv")))
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_without_metadata__spectra_and_members_still_lead_back(
+    library: xr.Dataset, tmp_path: Path, name: str
+) -> None:
+    path = hp.write_library(library, tmp_path / name, curves="all")
+    path.with_name(path.name + ".json").unlink()
+    with pytest.warns(PaintWarning, match="metadata-missing") as noted:
+        found = hp.open_library(path)
+    assert noted[0].filename == __file__  # the line of the caller
+    for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
+        np.testing.assert_array_equal(found[variable].values, library[variable].values)
+        assert found[variable].dims == library[variable].dims
+    assert found["signature"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
+    assert ("make" in found.coords) == name.endswith("csv")
+
+
+@pytest.mark.parametrize(
+    ("separator", "point", "quotes", "tail"),
+    [
+        (";", ".", csv.QUOTE_MINIMAL, []),
+        (";", ",", csv.QUOTE_MINIMAL, []),
+        ("\t", ",", csv.QUOTE_MINIMAL, []),
+        (",", ".", csv.QUOTE_MINIMAL, ["", ""]),
+        (",", ".", csv.QUOTE_ALL, []),
+    ],
+)
+def test_csv_saved_again_by_a_spreadsheet__is_the_same(
+    tmp_path: Path, separator: str, point: str, quotes: Any, tail: list[str]
+) -> None:
+    # Rationale: rows of standard deviations and members became paints, and an empty row too.
+    path = hp.write_library(make_library(), tmp_path / "paints.csv", curves="all")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = [[*row, *tail] for row in csv.reader(file)]
+    expected = hp.open_library(path).load()
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, delimiter=separator, quoting=quotes)
+        writer.writerows(
+            [re.sub(r"^(-?\d+)\.(\d+)", rf"\1{point}\2", cell) for cell in row]
+            for row in [*rows, [""] * len(rows[0])]
+        )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*metadata-differ")  # decimal commas in properties
+        xr.testing.assert_identical(hp.open_library(path).load(), expected)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    path = hp.write_library(library, tmp_path / name, curves="all")
+    other = hp.write_library(
+        library.assign_coords(wavelength=library["wavelength"] + 1.0), tmp_path / "other" / name, curves="all"
+    )
+    path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
+    expect_errors((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
+    fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
+    path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
+    # an axis without values, which an index would fill the memory with
+    metadata = json.loads(whole := path.with_name(path.name + ".json").read_text(encoding="utf-8"))
+    metadata["coords"]["x"] = {"dims": ["x"], "attrs": {}, "dtype": "float32", "shape": [2**31 - 1]}
+    for text, message in ((whole, "sizes"), (json.dumps(metadata), "'x': expected values")):
+        path.with_name(path.name + ".json").write_text(text, encoding="utf-8")
+        expect_error(FormatError, rf"{message}.*metadata-damaged", lambda: hp.open_library(path))
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
+def test_lazy_libraries__are_written_as_loaded_ones(tmp_path: Path, name: str) -> None:
+    library = make_library()
+    lazy = library.chunk({"signature": 2, "member": 3, "band": 4})
+    calls: list[tuple[int, int]] = []
+    eager = hp.write_library(
+        library, tmp_path / "eager" / name, curves="all", progress=lambda *call: calls.append(call)
+    )
+    steps, totals = zip(*calls, strict=True)
+    assert list(steps) == sorted(steps)
+    assert steps[-1] == totals[-1] > 0
+    done = hp.write_library(lazy, tmp_path / "lazy" / name, curves="all")
+    if not done.is_dir():
+        assert files_of(done.parent) == files_of(eager.parent)
+    xr.testing.assert_identical(
+        hp.open_library(done).load().drop_attrs(), hp.open_library(eager).load().drop_attrs()
+    )
+
+
+def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path: Path) -> None:
+    # Rationale: percent and micrometres are said by units and converted; no units are an error.
+    percent = library[["reflectance"]]
+    percent["reflectance"] = (percent["reflectance"] * 100).assign_attrs(units="percent")
+    percent["wavelength"] = (percent["wavelength"] / 1e3).assign_attrs(units="um")
+    found = hp.open_library(hp.write_library(percent, tmp_path / "paints.sli"))
+    np.testing.assert_allclose(found["reflectance"].values, library["reflectance"].values, rtol=1e-6)
+    np.testing.assert_allclose(found["wavelength"].values, library["wavelength"].values)
+    del percent["reflectance"].attrs["units"]
+    expect_errors(
+        (SchemaError, r"'reflectance'.*units", lambda: hp.write_library(percent, tmp_path / "more.sli"))
+    )
+
+
+def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_path: Path) -> None:
+    bad = library.drop_vars("wavelength")
+    bad["n"] = bad["n"].assign_attrs(units="m")
+    caught = expect_error(SchemaError, None, lambda: hp.write_library(bad, tmp_path / "paints.sli"))
+    expect_words(str(caught), "'wavelength' is missing", "'n' has units 'm'")
+    broken = library.assign_coords(signature=["a\nb", "c", "d\x00", "e", "f"])
+    for format in ("envi", "csv"):
+        expect_error(
+            SchemaError,
+            "name-unwritable",
+            partial(hp.write_library, broken.isel(band=[0, 1]), tmp_path / "paints", format=format),
+        )
+    for name, options in (
+        ("paints.xlsx", {}),
+        ("red.spectrum.txt", {}),
+        ("paints", {"format": "ecostress"}),
+    ):
+        expect_error(
+            FormatError,
+            r"envi, csv, parquet, zarr.*choice-unknown",
+            partial(hp.write_library, library, tmp_path / name, **options),
+        )
+    expect_errors(
+        (
+            SchemaError,
+            r"'when'.*type-wrong",
+            lambda: hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv"),
+        )
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@settings(max_examples=12)
+@given(
+    names=st.lists(
+        st.text(st.characters(exclude_categories=("Cs", "Cc", "Zl", "Zp")), max_size=12),
+        min_size=1,
+        max_size=8,
+        unique=True,
+    ),
+    data=st.data(),
+)
+@pytest.mark.filterwarnings("ignore:.*scale-doubtful")
+def test_any_names_and_values__come_back(
+    tmp_path_factory: Any, names: list[str], data: st.DataObject
+) -> None:
+    # Property: names of any characters, and every float32 but infinities.
+    value = st.floats(width=32, allow_infinity=False)
+    values = data.draw(
+        st.lists(st.lists(value, min_size=3, max_size=3), min_size=len(names), max_size=len(names))
+    )
+    members = data.draw(
+        st.lists(st.lists(value, min_size=6, max_size=6), min_size=len(names), max_size=len(names))
+    )
+    library = xr.Dataset(
+        {
+            "reflectance": (("signature", "band"), np.array(values, np.float32), {"units": "1"}),
+            "member_reflectance": (
+                ("signature", "member", "band"),
+                np.array(members, np.float32).reshape(-1, 2, 3),
+                {"units": "1"},
+            ),
+        },
+        coords={
+            "signature": np.array(names, object),
+            "wavelength": ("band", [400.0, 500.5, 1 / 3 + 600], {"units": "nm"}),
+        },
+    )
+    for name in ("paints.sli", "paints.csv"):
+        xr.testing.assert_identical(
+            trip(library, tmp_path_factory.mktemp("any"), name, curves="all"), library
+        )
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_signatures_of_a_flight__come_back_whole(tmp_path: Path, name: str) -> None:
+    # Rationale: what `extract_signatures` makes holds regions, flags, times and uncertainties as well.
+    paints = hp.extract_signatures(painted_lines.made(), painted_lines.TWO, members=5)
+    found = trip(paints, tmp_path, name, curves="all")
+    assert (set(found.variables), set(found.coords)) == (set(paints.variables), set(paints.coords))
+    for variable in paints.variables:
+        np.testing.assert_array_equal(found[variable].values, paints[variable].values, err_msg=str(variable))
+        assert found[variable].dtype == paints[variable].dtype, variable
+        assert dict(found[variable].attrs).keys() == dict(paints[variable].attrs).keys()
+    assert found.attrs == paints.attrs
+
+
+@pytest.mark.real_data
+def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: Path) -> None:
+    # Rationale: 2,457 names with runs of blanks, wavelengths that fall, missing values, error bars.
+    usgs = hp.open_library(shared_data / "envi_sli" / "s07_AV95_envi.sli")
+    for name in ("usgs.sli", "usgs.csv"):
+        xr.testing.assert_identical(trip(usgs, tmp_path, name, curves="all"), usgs)
+    text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
+    np.testing.assert_array_equal(
+        trip(text, tmp_path, "pvc.csv")["reflectance"].values, text["reflectance"].values
+    )
+
+
+@pytest.mark.parametrize("name", ["=HYPERLINK(1)", "+red", "-matt", "@lab", "'=x", "''-y", "-5.25", "'red'"])
+def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> None:
+    values = np.array([[0.25, 0.5], [-0.01, 0.75]], np.float32)
+    paints = xr.Dataset(
+        {"reflectance": (("signature", "band"), values, {"units": "1"})},
+        coords={
+            "signature": [name, "blue"], "make": ("signature", ["=1+1", "-3"]),
+            "wavelength": ("band", [450.0, 650.0], {"units": "nm"}),
+        },
+    )  # fmt: skip
+    path = tmp_path / "paints.csv"
+    hp.write_library(paints, path)
+    with path.open(newline="") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    dangerous = [cell for cell in cells if cell[:1] in ("=", "+", "-", "@", "\t", "\r")]
+    assert all(float(cell) < 0 for cell in dangerous)  # numbers stay numbers
+    back = hp.open_library(path)
+    assert back["signature"].values.tolist() == [name, "blue"]
+    assert back["make"].values.tolist() == ["=1+1", "-3"]
+    np.testing.assert_array_equal(back["reflectance"], paints["reflectance"])
+
+
+def test_a_wavelength_given_twice_is_refused(tmp_path: Path) -> None:
+    path = write_file(
+        tmp_path / "twice.csv",
+        "wavelength (nm),red\n400,0.1\n500,0.2\n600,0.3\n700,0.4\n500,0.25\n800,0.3\n900,0.2\n",
+    )
+    expect_errors(
+        (
+            FormatError,
+            "wavelength-duplicate",
+            lambda: hp.open_library(path, wavelength=[400.0, 500.0, 600.0, 700.0, 500.0, 800.0, 900.0]),
+        )
+    )
+
+
+# --- Parquet in the columns of OpenSpecLib: read by pyarrow alone, and files of others ---
+
+
+def foreign(path, **changes):
+    # Write a file as OpenSpecLib describes it, with pyarrow alone.
+    wavelengths = [0.4, 0.5, 0.6]
+    columns = {
+        "id": ["usgs:1", "usgs:2"], "name": ["olivine", "asphalt"],
+        "source.license": ["public domain"] * 2, "source.citation": ["Kokaly 2017"] * 2,
+        "spectral_data.type": ["reflectance"] * 2, "spectral_data.wavelength_unit": ["um"] * 2,
+        "spectral_data.wavelengths": [wavelengths] * 2,
+        "spectral_data.values": [[0.1, None, 0.3], [0.2, 0.2, 0.2]], "additional_properties": ["{}"] * 2,
+    } | changes  # fmt: skip
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+def test_a_file_of_others_is_a_library(tmp_path):
+    library = hp.open_library(foreign(tmp_path / "usgs.parquet"))
+    np.testing.assert_allclose(library.wavelength, [400.0, 500.0, 600.0])
+    assert library["signature"].values.tolist() == ["olivine", "asphalt"]
+    np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
+    assert library.licence.values.tolist() == ["public domain"] * 2
+    library = hp.open_library(
+        foreign(
+            tmp_path / "tes.parquet",
+            **{
+                "spectral_data.wavelength_unit": ["cm-1"] * 2,
+                "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2,
+            },
+        )
+    )
+    np.testing.assert_allclose(library.wavelength, [500.0, 625.0, 800.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spectral_data.type": ["emissivity"] * 2}, "quantity-wrong"),
+        ({"spectral_data.wavelength_unit": ["um", "nm"]}, "units-unknown"),
+        ({"spectral_data.wavelengths": [[0.4, 0.5, 0.6], [0.4, 0.5, 0.7]]}, "different wavelengths"),
+        ({"spectral_data.values": [[0.1, 0.2], [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
+        ({"spectral_data.values": [None, [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
+    ],
+)
+def test_what_is_no_library_is_refused(tmp_path, changes, message):
+    expect_errors(
+        (hp.FormatError, message, lambda: hp.open_library(foreign(tmp_path / "x.parquet", **changes)))
+    )
+
+
+def test_damaged_files_are_refused(tmp_path):
+    whole = foreign(tmp_path / "x.parquet").read_bytes()
+    pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
+    expect_errors((hp.FormatError, "column-missing", lambda: hp.open_library(tmp_path / "x.parquet")))
+    for cut in (4, 40, len(whole) // 2, len(whole) - 4):
+        (tmp_path / "cut.parquet").write_bytes(whole[:cut])
+        expect_error(hp.FormatError, "file-unreadable", lambda: hp.open_library(tmp_path / "cut.parquet"))
+
+
+def test_pandas_readers_see_a_row_a_paint(tmp_path):
+    starter = hp.paints.starter_library(members=2)
+    path = hp.write_library(starter, tmp_path / "starter.parquet")
+    rows = pq.read_table(path).to_pylist()
+    assert [row["material.name"] for row in rows] == starter["signature"].values.tolist()
+    assert {row["material.category"] for row in rows} == {"man_made"}
+    assert json.loads(rows[0]["additional_properties"])["finish"] == "solid"
+    np.testing.assert_array_equal(
+        np.float32([row["spectral_data.values"] for row in rows]), starter.reflectance.values
+    )
+    path.with_name("starter.parquet.json").unlink()  # as others hand it on
+    with pytest.warns(hp.errors.PaintWarning, match="metadata-missing"):
+        alone = hp.open_library(path)
+    np.testing.assert_array_equal(alone.reflectance.values, starter.reflectance.values)
+    assert alone["signature"].values.tolist() == starter["signature"].values.tolist()
+
+
+def test_names_of_paints_are_unique(tmp_path):
+    starter = hp.paints.starter_library(members=0).isel(signature=[0, 1, 2]).assign_coords(signature=[*"aab"])
+    with pytest.warns(hp.errors.PaintWarning, match="paint-duplicate"):
+        written = hp.write_library(starter, tmp_path / "p.csv")
+    assert hp.open_library(written)["signature"].values.tolist() == ["a", "a (2)", "b"]
+    path = write_file(
+        tmp_path / "plain.csv", "wavelength,a,a,b\n450,0.1,0.2,0.3\n550,0.1,0.3,0.3\n650,0.1,0.2,0.4\n"
+    )
+    with pytest.warns(hp.errors.PaintWarning, match="paint-duplicate"):
+        assert hp.open_library(path)["signature"].values.tolist() == ["a", "a (2)", "b"]
+
+
+def test_wavelengths_out_of_order_are_sorted(tmp_path):
+    path, nm = tmp_path / "rolled.csv", np.roll(np.arange(400, 1001, 50), 3)
+    path.write_text("wavelength,a\n" + "".join(f"{x},{x / 1e4}\n" for x in nm))
+    with pytest.warns(hp.errors.PaintWarning, match="wavelength-unordered"):
+        library = hp.open_library(path)
+    np.testing.assert_array_equal(library.wavelength, np.sort(nm))
+    np.testing.assert_allclose(library.reflectance.values[0], np.sort(nm) / 1e4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["p.csv", "p.sli", "p.parquet"])
+def test_per_cent_labelled_1_is_told(tmp_path, name):
+    starter = hp.paints.starter_library(members=0)
+    starter["reflectance"] = 100.0 * starter["reflectance"].assign_attrs(units="1")
+    with pytest.warns(hp.errors.PaintWarning, match="scale-doubtful"):
+        path = hp.write_library(starter, tmp_path / name)
+    with pytest.warns(hp.errors.PaintWarning, match="scale-doubtful"):
+        hp.open_library(path)
+
+
+def test_a_library_by_wavelength_is_written(tmp_path):
+    starter = hp.paints.starter_library(members=2)
+    path = hp.write_library(starter.swap_dims(band="wavelength"), tmp_path / "p.parquet", curves="all")
+    xr.testing.assert_identical(hp.open_library(path), starter)
+
+
+def test_a_number_beyond_64_bits_is_refused(tmp_path):
+    path = hp.write_library(
+        hp.paints.starter_library(members=3).isel(signature=[0, 1, 2]), tmp_path / "p.parquet", curves="all"
+    )
+    # a number beyond 64 bits
+    rows = pq.read_table(path)
+    keys = [
+        text.replace('"place": 2', f'"place": {10**30}') for text in rows["additional_properties"].to_pylist()
+    ]
+    at = rows.schema.get_field_index("additional_properties")
+    pq.write_table(rows.set_column(at, rows.schema.field(at), pa.array(keys)), path)
+    expect_errors((hp.FormatError, "record-unmatched", lambda: hp.open_library(path)))
+
+
+# --- What is written appears whole or not at all, and nothing is replaced unasked ---
+
+
+FILES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr"}
+
+
+@pytest.fixture
+def library(library: xr.Dataset) -> xr.Dataset:
+    return library.isel(band=[0, 1, 3, 4])
+
+
+@pytest.fixture(autouse=True)
+def _no_leftovers(tmp_path: Path) -> Iterator[None]:
+    yield
+    assert not list(tmp_path.glob(".*"))
+
+
+def state(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize("format", FILES)
+def test_nothing_is_replaced_unasked(library: xr.Dataset, tmp_path: Path, format: str) -> None:
+    path = tmp_path / FILES[format]
+    assert hp.write_library(library, path, format=format) == path
+    before = state(tmp_path)
+    other = library.isel(signature=[0, 1])
+    expect_errors(
+        (StoreError, r"exist.*overwrite=True", lambda: hp.write_library(other, path, format=format))
+    )
+    assert state(tmp_path) == before
+    hp.write_library(other, path, format=format, overwrite=True)
+    assert hp.open_library(path).sizes["signature"] == 2
+    # a folder with anything else is never replaced
+    thesis = tmp_path / "folder" / "thesis.doc"
+    thesis.parent.mkdir()
+    thesis.write_text("ten years of work")
+    expect_errors(
+        (
+            StoreError,
+            r"is a folder|holds|other",
+            lambda: hp.write_library(
+                library, thesis.parent, format="zarr" if format == "zarr" else "csv", overwrite=True
+            ),
+        )
+    )
+    assert thesis.read_text() == "ten years of work"
+
+
+@pytest.mark.parametrize(
+    ("format", "name", "written"),
+    [
+        ("csv", "paints", "paints.csv"),
+        ("csv", "paints.txt", "paints.txt"),
+        ("envi", "paints", "paints.sli"),
+        ("envi", "paints.hdr", "paints.sli"),
+        ("envi", "paints.v2", "paints.v2.sli"),
+    ],
+)
+def test_a_file_gets_the_suffix_that_it_is_known_by(
+    library: xr.Dataset, tmp_path: Path, format: str, name: str, written: str
+) -> None:
+    path = hp.write_library(library, tmp_path / name, format=format)
+    assert (path, hp.open_library(path).sizes["signature"]) == (tmp_path / written, 5)
+
+
+@pytest.mark.parametrize("format", ["envi", "csv"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_failure_leaves_what_was_there(
+    library: xr.Dataset, tmp_path: Path, format: str, overwrite: bool
+) -> None:
+    path = tmp_path / FILES[format]
+    if overwrite:
+        hp.write_library(library.isel(signature=[0]), path, format=format)
+    before = state(tmp_path)
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    expect_error(
+        KeyboardInterrupt,
+        None,
+        lambda: hp.write_library(library, path, format=format, overwrite=overwrite, progress=stop),
+    )
+    assert state(tmp_path) == before
+
+
+class Power(BaseException):
+    """The lights go out: nothing is cleared up."""
+
+
+@pytest.mark.parametrize("step", range(3))
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
+    library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int, overwrite: bool
+) -> None:
+    # Rationale: a library of ENVI is three files; without its header it is none.
+    path = tmp_path / "paints.sli"
+    old, new = library.isel(signature=[0, 1]), library
+    if overwrite:
+        hp.write_library(old, path)
+    names, left = ("paints.sli", "paints.sli.json", "paints.hdr"), [step]
+
+    def dying(move: Any) -> Any:
+        def call(source: Any, target: Any) -> None:
+            if Path(target).name in names and Path(target).parent == tmp_path:
+                if not left[0]:
+                    raise Power
+                left[0] -= 1
+            move(source, target)
+
+        return call
+
+    with monkeypatch.context() as patched:
+        for name in ("replace", "rename"):
+            patched.setattr(publishing.os, name, dying(getattr(os, name)))
+        patched.setattr(publishing, "_settle", lambda _: None)  # as a process that is killed
+        expect_error(Power, None, lambda: hp.write_library(new, path, overwrite=overwrite))
+    expect_errors((FormatError, r"no header|no such file", lambda: hp.open_library(path)))
+    hp.write_library(new, path, overwrite=overwrite)
+    assert hp.open_library(path).sizes["signature"] == 5
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
+
+
+def test_leftovers_of_a_killed_writer__are_cleared(library: xr.Dataset, tmp_path: Path) -> None:
+    stage = tmp_path / ".partial-paints.hdr"
+    build = stage / "build-%root-product-0123456789ab"
+    build.mkdir(parents=True)
+    (build / "paints.sli").write_bytes(b"half")
+    (stage / "hyperpaint").write_bytes(MARK_TEXT)
+    hp.write_library(library, tmp_path / "paints.sli")
+    assert not stage.exists()
+
+
+def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "paints.csv"
+
+    def second(done: int, total: int) -> None:
+        if done == total:  # it is there by now
+            return
+        expect_errors((StoreError, "is being written", lambda: hp.write_library(library, path)))
+
+    hp.write_library(library, path, progress=second)
+    assert hp.open_library(path).sizes["signature"] == 5
+
+
+def test_a_header_too_large_to_be_read__is_refused(
+    library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spectra_files, "MAX_LIBRARY_HEADER_BYTES", 500)
+    expect_errors((ValueError, "file-too-large", lambda: hp.write_library(library, tmp_path / "paints.sli")))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
+    # Rationale: 40,000 lazy members of 100 bands are 16 MB; no more than two lots are in memory at once.
+    import dask.array as da
+
+    seen: list[int] = []
+
+    def block(block_info: Any = None) -> np.ndarray:
+        seen.append(block_info[None]["array-location"][0][0])
+        return np.full((20, 100, 100), 0.5, np.float32)
+
+    lazy = da.map_blocks(
+        block, chunks=((20,) * 20, (100,), (100,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
+    )
+    library = xr.Dataset(
+        {
+            "reflectance": (("signature", "band"), np.full((400, 100), 0.5, np.float32), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), lazy, {"units": "1"}),
+        },
+        coords={
+            "signature": [f"paint {at}" for at in range(400)],
+            "wavelength": ("band", np.linspace(400, 1000, 100), {"units": "nm"}),
+        },
+    )
+    done: list[tuple[int, int]] = []
+    path = hp.write_library(
+        library, tmp_path / "many.sli", curves="all", progress=lambda *call: done.append((len(seen), call[0]))
+    )
+    assert seen == list(range(0, 400, 20))
+    # what is computed is written before the next is
+    assert [computed for computed, _ in done[1:]] == list(range(1, 21))
+    assert path.stat().st_size == 4 * 100 * (400 + 40_000)

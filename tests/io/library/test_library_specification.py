@@ -5,6 +5,7 @@ import json
 import sys
 import warnings
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import jsonschema
@@ -14,7 +15,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.library_examples import declared_library
-from support.refusals import expect_errors, expect_refusals
+from support.refusals import expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -184,8 +185,11 @@ def test_metadata_pass_the_schema_and_libraries_come_back(library, tmp_path, suf
 def test_metadata_that_lack_a_term_fail_the_schema(library, tmp_path):
     for name, *_ in TERMS:
         path = hp.write_library(without(name)(library), tmp_path / f"{name}.csv")
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(json.loads(path.with_name(f"{path.name}.json").read_text()), SCHEMA)
+        expect_error(
+            jsonschema.ValidationError,
+            None,
+            partial(jsonschema.validate, json.loads(path.with_name(f"{path.name}.json").read_text()), SCHEMA),
+        )
     words = {name: list(allowed) for name, allowed, _ in TERMS if allowed}
     of_schema = SCHEMA["$defs"]["attrs"]["properties"]
     assert {name: of_schema[name]["enum"] for name in words} == words
@@ -225,8 +229,6 @@ def old(library_released: xr.Dataset) -> xr.Dataset:
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_of_0_2_is_todays_library(released: Path, library_released: xr.Dataset, name: str) -> None:
-    if name.endswith("parquet"):
-        pytest.importorskip("pyarrow")
     with pytest.warns(PaintWarning, match="'paint'.*'signature'") as caught:
         opened = hp.open_library(released / name)
     assert len(caught) == 1
@@ -243,8 +245,6 @@ def test_a_file_of_0_2_is_todays_library(released: Path, library_released: xr.Da
 
 @pytest.mark.parametrize("name", FILES[:3])
 def test_metadata_of_version_2_are_read(tmp_path: Path, library_released: xr.Dataset, name: str) -> None:
-    if name.endswith("parquet"):
-        pytest.importorskip("pyarrow")
     with zipfile.ZipFile(Path(__file__).with_name("released") / "version_2.zip") as archive:
         archive.extractall(tmp_path)
     xr.testing.assert_identical(hp.open_library(tmp_path / name), library_released)
@@ -382,8 +382,6 @@ def write(folder: Path) -> None:
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_right_files_are_one_library(name: str) -> None:
-    if name.endswith("parquet"):
-        pytest.importorskip("pyarrow")
     xr.testing.assert_identical(hp.open_library(EXAMPLES / name), declared_library(bands=6))
     assert hp.io.check_library(EXAMPLES / name).ok
 
@@ -406,7 +404,6 @@ def test_faulty_files_are_found_by_their_rule(rule: str) -> None:
 
 
 def test_what_is_written_today_has_their_bytes(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
     write(tmp_path)
     stored = {path.relative_to(EXAMPLES) for path in EXAMPLES.rglob("*") if path.is_file()}
     stored -= {path for path in stored if path.parts[0] == "ecostress"}
