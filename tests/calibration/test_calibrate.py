@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.codecs import plain_zarr
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
@@ -230,8 +230,7 @@ def test_other_line_shapes_can_be_asked_for() -> None:
     # the lines are Gaussian: a slit leaves a residual that all of them share
     with pytest.warns(PaintWarning, match=r"'slit'.*response-shape-misfit"):
         assert hp.calibrate(sweep, srf_shape="slit").srf_shape == "slit"
-    with pytest.raises(hp.SchemaError, match="type-wrong"):
-        hp.calibrate("sweep.zarr")  # type: ignore[arg-type]
+    expect_error(hp.SchemaError, "type-wrong", lambda: hp.calibrate("sweep.zarr"))
     expect_refusals((hp.SchemaError, "choice-unknown", lambda: hp.calibrate(sweep, srf_shape="box")))
 
 

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.codecs import plain_zarr
+from support.files import write_file
 from support.refusals import expect_error, expect_refusals, expect_words
 
 import hyperpaint as hp
@@ -150,8 +151,11 @@ def test_faults_of_a_table_name_row_column_and_unit(tmp_path: Path, old: str, ne
     (tmp_path / "sphere.csv").write_text(text.replace(old, new))
     assert words in str(expect_error(FormatError, None, lambda: open_sweep(tmp_path / "sphere.csv")))
     for name in ("dark", "scan_400", "scan_460"):
-        with pytest.raises(FormatError, match=rf"cube '{name}.hdr': no such file.*cube-missing"):
-            open_sweep(EXAMPLES / "power_meter.csv")
+        expect_error(
+            FormatError,
+            rf"cube '{name}.hdr': no such file.*cube-missing",
+            lambda: open_sweep(EXAMPLES / "power_meter.csv"),
+        )
 
 
 @pytest.mark.parametrize(
@@ -228,8 +232,7 @@ def test_a_collect_is_calibrated_on_the_way(collect: Path) -> None:
 
 def test_a_collect_has_one_calibration(collect: Path, tmp_path: Path) -> None:
     text = collect.read_text().replace('sweep = "lab.zarr"', 'sweep = "lab.zarr"\npath = "calibration.zarr"')
-    both = collect.with_name("both.toml")
-    both.write_text(text)
+    both = write_file(collect.with_name("both.toml"), text)
     expect_refusals((CollectError, "option-conflict", lambda: hp.open_collect(both)))
 
 
@@ -277,8 +280,7 @@ def test_lists_of_other_detectors_are_refused(
     bad = tmp_path / "bad.csv" if text else listed(tmp_path, "small", (8, 6))
     if text:
         bad.write_text(f"band,column\n{text}\n")
-    with pytest.raises(error, match=code):
-        open_calibration(collect.parent / "calibration.zarr", bad_elements=bad)
+    expect_error(error, code, lambda: open_calibration(collect.parent / "calibration.zarr", bad_elements=bad))
 
 
 # --- responses that no line model is; sweep and flight are plain sums over a fine grid ----------------------
