@@ -1,22 +1,43 @@
 """The command line: exit status, messages, and that nothing half-written stays."""
 
+import inspect
+import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 import pytest
+import rasterio
 import xarray as xr
+import zarr
+from click.shell_completion import ShellComplete
 from click.testing import Result
 from support.codecs import plain_zarr
 from support.commands import hyperpaint
-from support.refusals import expect_words
+from support.flown_lines import EAST, MAP, NORTH, fly, located
+from support.library_examples import make_library
+from support.refusals import expect_error, expect_refusals, expect_words
+from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
+from hyperpaint.base.facts import PARAMETERS
+from hyperpaint.cli.info_command import describe_path
+from hyperpaint.cli.options import Settings, parameters_of
+from hyperpaint.cli.program import GROUPS, main
+from hyperpaint.io.store import budget, open_group, to_store
+from hyperpaint.io.store.writer import WholeRun
+from hyperpaint.report import write_report
+from hyperpaint.report.summaries import with_times
+from hyperpaint.simulation import simulate_line
+from hyperpaint.workflows import pipeline
 
 
 @pytest.fixture(scope="module")
@@ -310,3 +331,529 @@ def test_simulate_never_replaces_a_real_collect(collect: Path) -> None:
     before = sorted(collect.parent.rglob("*"))
     assert "raw-data-present" in refused(hyperpaint("simulate", collect.parent, *shape, "--overwrite"))
     assert sorted(collect.parent.rglob("*")) == before
+
+
+# --- Options of commands: from functions, few, alike everywhere; old spellings name the new ones ---
+
+
+CONTEXT = click.Context(main)
+NAMES = main.list_commands(CONTEXT)
+
+
+def options_of(name: str) -> list[click.Option]:
+    command = main.get_command(CONTEXT, name)
+    assert command is not None
+    return [option for option in command.params if isinstance(option, click.Option)]
+
+
+def run(*words: str) -> str:
+    # Return the message of a refused call
+    return hyperpaint(*words, status=2).stderr
+
+
+def test_the_number_of_options() -> None:
+    assert len(NAMES) == 22
+    assert sum(len(options_of(name)) for name in NAMES) <= 200
+
+
+def test_help_of_the_program_is_one_screen() -> None:
+    shown = hyperpaint("--help").stdout
+    assert 24 <= len(shown.splitlines()) <= 42
+    for group, commands in GROUPS.items():
+        assert re.search(rf"^  {group} ", shown, re.MULTILINE)
+        for name in commands:
+            assert re.search(rf" {name} ", shown)
+
+
+def test_zarr_has_as_many_threads_as_dask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    counts = []
+
+    def write_report(*_: object, **__: object) -> None:
+        counts.append(zarr.config.get("threading.max_workers"))
+        raise hp.errors.StoreError("no report", code="store-empty")
+
+    before = zarr.config.get("threading.max_workers")
+    monkeypatch.setattr(budget, "thread_count", lambda: 3)
+    monkeypatch.setattr(hp.report, "write_report", write_report)
+    hyperpaint("report", tmp_path, "--out", tmp_path / "page.html", status=2)
+    assert counts == [3]
+    assert zarr.config.get("threading.max_workers") == before
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_of_a_command_teaches(name: str) -> None:
+    shown = hyperpaint(name, "--help", terminal_width=100).stdout
+    assert len(shown.splitlines()) <= 64
+    assert f"  hyperpaint {name}" in shown
+    assert all(option.help for option in options_of(name))
+
+
+def test_choices_and_defaults_are_those_of_the_function() -> None:
+    parameters = inspect.signature(pipeline.process).parameters
+    for option in options_of("process"):
+        name = str(option.name)
+        if not option.multiple and name != "out":
+            assert parameters[name].default == option.default, name
+    (layout,) = (option for option in options_of("process") if option.name == "layout")
+    assert isinstance(layout.type, click.Choice)
+    assert tuple(layout.type.choices) == ("cube", "explore", "web")
+
+
+def test_shared_descriptions_are_read_from_their_table() -> None:
+    process = parameters_of("workflows.pipeline:process")
+    assert process["scheduler"].help.startswith("Address of a dask.distributed scheduler")
+    assert process["overwrite"].help == PARAMETERS["group overwrite"]
+
+
+def test_parameters_are_read_without_an_import() -> None:
+    found = parameters_of("workflows.maps:location_of")
+    assert found["boresight"].kind == {"nargs": 3, "type": float}
+    assert isinstance(found["column_order"].kind["type"], click.Choice)
+    assert found["ground"].help == "Height of level ground above the ellipsoid [m]."
+    assert found["flightline"].default is ...
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("report x --signatures", "--library"), ("site x --signatures", "--library"),
+        ("render x --paints", "--library"), ("view x --group", "--line"), ("report x --lines", "--max-lines"),
+        ("validate x --plot", "--picture"), ("calibrate x --report", "--picture"),
+        ("simulate x --sky", "--atmosphere"), ("detect x --rate", "--false-alarm-rate"),
+        ("simulate x --no-noise", "--set noise=no"), ("simulate x --smile", "--set smile_nm=VALUE"),
+        ("orthorectify x --boresight", "--set boresight=VALUE,VALUE,VALUE"),
+        ("signatures x --glint", "--set glint=VALUE"),
+    ],
+)  # fmt: skip
+def test_an_old_spelling_names_the_new_one(old: str, new: str) -> None:
+    assert f"is now {new} [option-renamed]" in run(*old.split(), "1")
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("smil=1", "did you mean smile_nm=1? [setting-unknown]"), ("noise", "[setting-unknown]"),
+        ("cloud=1,2", "[type-wrong]"), ("smile_nm=wide", "[type-wrong]"), ("noise=perhaps", "[type-wrong]"),
+    ],
+)  # fmt: skip
+def test_a_wrong_setting(setting: str, message: str) -> None:
+    assert message in run("simulate", "x", "--set", setting)
+
+
+def test_settings_are_listed() -> None:
+    (settings,) = (option for option in options_of("simulate") if isinstance(option, Settings))
+    shown = hyperpaint("simulate", "x", "--set", "?", status=0)
+    assert all(re.search(rf"^{name} ", shown.stdout, re.MULTILINE) for name in settings.types)
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["porcess"], "process"),
+        (["demo", "--ot", "x"], "--out"),
+        (["demo", "--quite"], "--quiet"),
+        (["--quite", "demo"], "--quiet"),
+    ],
+)
+def test_a_misspelt_word_is_suggested(words: list[str], meant: str) -> None:
+    assert f"Did you mean {meant!r}?" in run(*words)
+
+
+def test_a_collect_without_regions_is_told(tmp_path: Path) -> None:
+    told = hyperpaint("simulate", tmp_path, "--scene", "plan", "--lines", 8, "--bands", 4, "--columns", 6)
+    assert "regions.geojson has no region: no paint has a clean level area of 6 by 6 pixels" in told.stderr
+
+
+def test_options_of_the_program_stand_anywhere(tmp_path: object) -> None:
+    for words in (
+        ["--memory-limit", "much", "report", "."],
+        ["report", ".", "--quiet", "--memory-limit=much"],
+    ):
+        assert "much" in run(*words)
+
+
+def test_words_are_completed() -> None:
+    complete = ShellComplete(main, {}, "hyperpaint", "_HYPERPAINT_COMPLETE")
+    assert [item.value for item in complete.get_completions([], "sig")] == ["signatures"]
+    assert "--false-alarm-rate" in [item.value for item in complete.get_completions(["detect"], "--f")]
+
+
+# --- Ctrl-C and SIGTERM: one line, a status that says which, and a store that the same command completes ---
+
+
+@pytest.fixture(scope="module")
+def small_collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("collect")
+    hp.simulate_collect(folder, scene="plan", lines=40, bands=20, columns=8, seed=1)
+    return folder / "collect.toml"
+
+
+@pytest.fixture(autouse=True)
+def _heard() -> Iterator[None]:
+    # Hear Ctrl-C also where these tests run in the background of a shell, which ignores it there
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_process_goes_on_where_it_was(
+    number: signal.Signals, status: int, small_collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    write = WholeRun.write
+
+    def stop_at_the_second(run: WholeRun, name: str, dataset: xr.Dataset, **options: Any) -> None:
+        if written:
+            os.kill(os.getpid(), number)
+        write(run, name, dataset, **options)
+        written.append(name)
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    call = ["process", str(small_collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
+    with monkeypatch.context() as patch:
+        patch.setattr(WholeRun, "write", stop_at_the_second)
+        stopped = hyperpaint(*call)
+    assert stopped.exit_code == status
+    assert stopped.stderr.splitlines()[-1].startswith(f"stopped by {number.name}: ")
+    assert "Traceback" not in stopped.output
+    assert (len(written), (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))) == (1, before)
+
+    assert f"/{written[0]} there already" in hyperpaint(*call, status=0).output
+    assert hp.verify(tmp_path / "lot.zarr").ok
+    assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
+
+
+def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def stubborn(*_: Any, **__: Any) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
+
+    monkeypatch.setattr("hyperpaint.verify", stubborn)
+    assert (hyperpaint("verify", ".").exit_code, seen) == (
+        130,
+        [signal.SIG_DFL, signal.SIG_DFL],
+    )
+
+
+def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt("by somebody else")
+
+    monkeypatch.setattr("hyperpaint.verify", stop)
+    assert hyperpaint("verify", ".", status=130).stderr == "stopped by SIGINT\n"
+
+
+def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        assert hyperpaint("verify", ".").exit_code != 143
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+# --- What a fresh process imports and compiles, and what it need not ---
+
+HEAVY = ("dask.array", "distributed", "numba", "pint", "scipy")
+
+
+@pytest.fixture(scope="module")
+def small_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("cold") / "lot.zarr"
+    to_store(simulate_line(lines=16, bands=20, columns=12, seed=1), place, "flightlines/raw_0")
+    return place
+
+
+def loaded_after(statements: str, modules: tuple[str, ...] = HEAVY) -> list[str]:
+    # Return which modules a fresh process has loaded after some statements, besides those of xarray
+    before = "import sys, xarray.backends\nbefore = set(sys.modules)"
+    loaded = f"print(*(name for name in {modules} if name in set(sys.modules) - before))"
+    code = f"{before}\n{statements}\n{loaded}"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    return done.stdout.splitlines()[-1].split()
+
+
+def test_info_of_a_store_and_a_cube_loads_nothing_heavy(small_store: Path, tmp_path: Path) -> None:
+    np.arange(24, dtype=np.uint16).tofile(tmp_path / "raw_0")
+    header = "samples = 4\nlines = 3\nbands = 2\ninterleave = bil\ndata type = 12\nbyte order = 0\n"
+    spectral = "wavelength units = nm\nwavelength = {500, 600}\nfwhm = {6, 6}\ndescription = {raw counts}\n"
+    (tmp_path / "raw_0.hdr").write_text(f"ENVI\n{header}{spectral};Exposure (ms): 5\n")
+    ask = "from hyperpaint.cli.info_command import describe_path"
+    describe = (f"print(describe_path({str(path)!r}))" for path in (small_store, tmp_path / "raw_0.hdr"))
+    assert loaded_after("\n".join([ask, *describe])) == []
+
+
+def test_a_pixel_is_read_and_a_store_is_written_without_distributed(small_store: Path) -> None:
+    read_and_write = (
+        "import xarray as xr, hyperpaint\n"
+        "from hyperpaint.io.store import open_group, to_store\n"
+        f"xr.open_zarr({str(small_store)!r}, group='flightlines/raw_0').paint.pixels(3, 4)\n"
+        f"line = open_group({str(small_store)!r}, 'flightlines/raw_0').drop_encoding()\n"
+        f"to_store(line, {str(small_store.with_name('copy.zarr'))!r}, 'again')"
+    )
+    assert "distributed" not in loaded_after(read_and_write)
+
+
+def test_times_are_those_that_xarray_decodes(small_store: Path) -> None:
+    raw = {"chunks": None, "decode_times": False, "create_default_indexes": False}
+    given = open_group(small_store, "flightlines/raw_0", **raw)
+    expected = open_group(small_store, "flightlines/raw_0")
+    decoded = with_times(given)
+    assert given["time"].dtype == np.int64
+    for name in ("time", "irradiance_time"):
+        np.testing.assert_array_equal(decoded[name].values, expected[name].values)
+    # of another program, in another unit
+    days = xr.Dataset({"t": ("x", np.array([1.0, 2.5]), {"units": "days since 2021-07-20"})})
+    np.testing.assert_array_equal(
+        with_times(days)["t"].values, np.array(["2021-07-21", "2021-07-22T12"], "M8[ns]")
+    )
+
+
+# --- What `describe_path` says of files and stores; the command line's own tests cover every kind of file ---
+
+
+@pytest.fixture
+def line() -> xr.Dataset:
+    counts = np.ones((40, 3, 2), np.uint16)
+    return xr.Dataset(
+        {
+            "counts": (("along_track", "band", "cross_track"), counts, {"units": "count"}),
+            "exposure_time": ((), 0.005, {"units": "s"}),
+            "read_noise": ((), np.float32(2.0), {"units": "count"}),
+        },
+        {"wavelength": ("band", [450.0, 550.0, 650.0], {"units": "nm"})},
+        {"exposure_source": "collect.toml"},
+    )
+
+
+def test_groups_say_whether_they_are_complete(tmp_path: Path, line: xr.Dataset) -> None:
+    hp.to_store(line, tmp_path / "lot.zarr", "flightlines/raw_0")
+    expect_words(
+        describe_path(tmp_path / "lot.zarr"),
+        "1 group with arrays",
+        "state: complete, written 20",
+        "counts: 40 along_track x 3 band x 2 cross_track, uint16 [count]",
+        "wavelength: 450 to 650 nm",
+        "exposure: 5 ms (collect.toml)",
+        "also holds: read_noise",
+    )
+    hp.to_store(line, tmp_path / "damaged.zarr")
+    next((tmp_path / "damaged.zarr/counts/c").rglob("*/0/0")).unlink()
+    assert "NOT COMPLETE: " in describe_path(tmp_path / "damaged.zarr")
+    # a copy without a manifest, and a store of another program
+    plain_zarr(line.assign_attrs(hyperpaint_version="0.1"), tmp_path / "copy.zarr")
+    plain_zarr(line, tmp_path / "other.zarr")
+    unknown = "not in a manifest, so that completeness is unknown; written at an unknown time by another"
+    expect_words(describe_path(tmp_path / "copy.zarr"), "not in a manifest", without=("another program",))
+    expect_words(describe_path(tmp_path / "other.zarr"), unknown, without=("NOT COMPLETE",))
+    expect_refusals(
+        (hp.FormatError, "file-not-found", lambda: describe_path(tmp_path / "none")),
+        (hp.StoreError, "format-unknown", lambda: describe_path(tmp_path)),
+    )
+
+
+def test_the_simulators_stores(tmp_path: Path) -> None:
+    two_lines = hp.simulate_collect(tmp_path / "sim", scene="plan", lines=8, bands=4, columns=4)
+    for name in ("calibration.zarr", "truth.zarr"):
+        assert "not in a manifest" in describe_path(two_lines.parent / name)
+    assert "5 ms (collect.toml)" in describe_path(two_lines)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
+def test_a_paint_library(tmp_path: Path, name: str) -> None:
+    path = hp.write_library(make_library().isel(band=[0, 1, 4]), tmp_path / name)
+    text = describe_path(path)
+    expect_words(text, "Grün; Grün", "reflectance", "400 to 800 nm")
+    if path.suffix != ".zarr":
+        expect_words(text, "5 spectra", "make")
+
+
+def test_a_folder_of_texts_of_single_spectra() -> None:
+    folder = Path(__file__).parents[1] / "io" / "library" / "conformance" / "ecostress"
+    assert "3 spectra" in describe_path(folder)
+
+
+# --- `verify`, `info` and `report` of a store that is not whole: what it lacks, and how to finish it ---
+
+
+@pytest.fixture
+def two_lines(tmp_path: Path) -> Path:
+    return tiny_collect(tmp_path / "raw", 2)
+
+
+def test_an_unfinished_store_says_how_it_is_finished(
+    two_lines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, write = tmp_path / "lot.zarr", WholeRun.write
+
+    def stop(self: WholeRun, group: str, dataset: xr.Dataset, **options: Any) -> None:
+        if group.endswith("raw_1"):
+            raise KeyboardInterrupt
+        write(self, group, dataset, **options)
+
+    monkeypatch.setattr(WholeRun, "write", stop)
+    expect_error(KeyboardInterrupt, None, lambda: hp.process(two_lines, out, to="radiance"))
+    again = "unfinished: 1 of 2 groups are written, without /flightlines/raw_1; to finish it"
+    for command, status in (("verify", 1), ("info", 0)):
+        expect_words(hyperpaint(command, out, status=status).output, again, f"--out {out} --to radiance")
+    page = write_report(out, tmp_path / "report.html")
+    assert page.flightlines == ("flightlines/raw_0",)
+    assert again[:40] in page.problems[0]
+
+
+def test_inputs_are_compared_on_request(two_lines: Path, tmp_path: Path) -> None:
+    out = hp.process(two_lines, tmp_path / "lot.zarr", to="radiance")
+    assert "all unchanged" in hyperpaint("verify", out, "--inputs", status=0).output
+    two_lines.with_name("raw_0").write_bytes(bytes(two_lines.with_name("raw_0").stat().st_size))
+    changed = hyperpaint("verify", out, "--collect", two_lines, status=1).output
+    assert "/flightlines/raw_0: its inputs have changed" in changed
+    hyperpaint("verify", out, status=0)
+
+
+# --- `info` and `report` of maps, regions and folders, as text and as JSON ----------------------------------
+
+
+SQUARE = np.array([(EAST, NORTH), (EAST + 1, NORTH), (EAST + 1, NORTH + 1), (EAST, NORTH + 1)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("maps")
+    flown = fly(40, 30, "none", heading=30.0)
+    values = np.random.default_rng(0).random((40, 6, 30)).astype(np.float32)
+    line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
+    line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
+    hp.to_store(hp.geometry.orthorectify(line, 0.01), folder / "map.zarr")
+    hp.to_store(hp.geometry.orthorectify(line, 0.01, grid="flight"), folder / "turned.zarr")
+    hp.write_regions(
+        hp.Regions((hp.Region("hood", SQUARE, properties={"make": "x"}),), "map", MAP), folder / "r.geojson"
+    )
+    return folder
+
+
+def run_of(*words: object) -> str:
+    return hyperpaint(*words, status=0).output
+
+
+def facts(path: Path) -> dict[str, Any]:
+    # Return what `info --json` says; the same as the text does
+    document: dict[str, Any] = json.loads(run_of("info", path, "--json"))
+    text = run_of("info", path)
+    for name, value in document.items():
+        for part in value if isinstance(value, list) else [value]:
+            assert part in text, name
+    return document
+
+
+def test_info_of_maps(folder: Path) -> None:
+    facts(folder / "map.zarr")
+    expect_words(
+        run_of("info", folder / "map.zarr"), "WGS 84 / UTM zone 17N", "0.01 x 0.01 map units, north up"
+    )
+    turned = re.search(r"up is ([0-9.]+) degrees from north", run_of("info", folder / "turned.zarr"))
+    assert turned is not None
+    assert float(turned[1]) == pytest.approx(30.0, abs=0.1)
+
+
+def test_info_of_a_geotiff(folder: Path, tmp_path: Path) -> None:
+    path = hp.io.write_geotiff(hp.open_store(folder / "map.zarr"), tmp_path / "map.tif")
+    document = facts(path)
+    with rasterio.open(path) as raster:
+        assert document["map"] == f"{raster.height} x {raster.width} cells, 6 bands, float32"
+        bounds = raster.bounds
+    assert (
+        document["bounds"]
+        == f"x {bounds.left:.10g} to {bounds.right:.10g}, y {bounds.bottom:.10g} to {bounds.top:.10g}"
+    )
+    assert (document["wavelength"], document["crs"]) == ("450 to 700 nm", "WGS 84 / UTM zone 17N")
+    # what only calls itself so, and would have GDAL read another file
+    trap = tmp_path / "trap.tif"
+    source = f"<SimpleSource><SourceFilename>{path}</SourceFilename></SimpleSource>"
+    band = f'<VRTRasterBand dataType="Byte" band="1">{source}</VRTRasterBand>'
+    trap.write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{band}</VRTDataset>')
+    assert "not a TIFF" in hyperpaint("info", trap, status=2).output
+
+
+def test_info_of_regions(folder: Path) -> None:
+    document = facts(folder / "r.geojson")
+    assert (document["is"], (document["names"], document["crs"], document["also says"])) == (
+        "1 region in coordinates of the map",
+        ("hood", MAP, "make"),
+    )
+
+
+def test_info_of_a_field_folder(tmp_path: Path) -> None:
+    document = facts(
+        hp.simulate_collect(tmp_path / "day", scene="plan", lines=8, bands=8, columns=6, truth=False).parent
+    )
+    assert document["is"].startswith("folder of a field day: 1 raw cube")
+    assert any("frame index" in str(text) for text in document.values())
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert "format-unknown" in hyperpaint("info", empty, status=2).output
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "expected"),
+    [
+        ("a.nc", b"\x89HDF\r\n\x1a\n", "xr.open_dataset"),
+        ("a.xlsx", b"PK\x03\x04", "save the sheet as CSV"),
+        ("a.pdf", b"%PDF-1.7", "a PDF"),
+        ("a.fits", b"SIMPLE  =", "astropy"),
+        ("a.mat", b"MATLAB 5.0 MAT-file", "scipy.io.loadmat"),
+    ],
+)
+def test_files_of_other_programs_are_named(tmp_path: Path, name: str, head: bytes, expected: str) -> None:
+    (tmp_path / name).write_bytes(head + b"\0" * 40)
+    expect_refusals((hp.FormatError, "format-unknown", expected, lambda: describe_path(tmp_path / name)))
+
+
+def test_a_report_of_a_map(folder: Path, tmp_path: Path) -> None:
+    assert "map map.zarr" in run_of("report", folder / "map.zarr", "--out", tmp_path / "map.html", "--quiet")
+    page = (tmp_path / "map.html").read_text()
+    expect_words(page, "WGS 84 / UTM zone 17N", without=("could not be shown",))
+    assert page.count("data:image/png") >= 2  # true colour, and how reflectance is spread
+
+
+@pytest.mark.parametrize("package", ["pyogrio", "fiona"])
+def test_regions_of_a_geopackage(
+    folder: Path, tmp_path: Path, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(package)
+    import importlib.util
+
+    drawn = hp.read_regions(folder / "r.geojson")
+    path = tmp_path / "r.gpkg"
+    if package == "pyogrio":
+        import pyogrio
+        import shapely
+
+        shapes = np.array([shapely.to_wkb(shapely.Polygon(one.polygon)) for one in drawn])
+        columns = [np.array(["hood"], object), np.array(["x"], object)]
+        pyogrio.raw.write(
+            path, shapes, columns, np.array(["name", "make"]), crs=MAP, geometry_type="Polygon", layer="cars"
+        )
+    else:
+        import fiona
+
+        schema = {"geometry": "Polygon", "properties": {"name": "str", "make": "str"}}
+        with fiona.open(path, "w", driver="GPKG", crs=MAP, schema=schema, layer="cars") as layer:
+            layer.writerecords([one.feature() for one in drawn])
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: found(name) if name == package else None)
+    read = hp.read_regions(path)
+    assert read.coordinates == "map"
+    np.testing.assert_allclose(np.sort(read[0].polygon, axis=0), np.sort(drawn[0].polygon, axis=0))
+    assert (read[0].name, dict(read[0].properties)["make"]) == ("hood", "x")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    expect_error(hp.errors.MissingExtraError, "extra-missing", lambda: hp.read_regions(path))
+    path.write_text("<OGRVRTDataSource/>")
+    expect_error(hp.FormatError, r"no gpkg file", lambda: hp.read_regions(path))

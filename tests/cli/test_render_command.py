@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import dask
+import distributed
 import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
+from support.files import write_file
 from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
@@ -55,9 +57,7 @@ product = "counts"
 
 
 def scene_file(folder: Path, text: str = SCENE) -> Path:
-    path = folder / "scene.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return write_file(folder / "scene.toml", text, encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,6 @@ def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
 
 @pytest.mark.slow
 def test_renders_do_not_depend_on_the_scheduler(store: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
     with dask.config.set(scheduler="synchronous"):
         alone = hp.render_scene(scene_file(tmp_path), tmp_path / "alone.zarr", atmospheres=["noon"])
     with (
@@ -354,7 +353,6 @@ def test_the_example_is_printed_and_help_teaches() -> None:
 
 
 def test_pictures_are_drawn(store: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
     picture = tmp_path / "renders.png"
     hyperpaint("render", store.parent / "scene.toml", "--out", store, "--picture", picture, status=0)
     assert picture.read_bytes().startswith(b"\x89PNG")
