@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rioxarray  # noqa: F401  (the accessor rio)
 import xarray as xr
-from support.refusals import expect_error, expect_refusals, refusal
+from support.refusals import expect_error, expect_refusals
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -116,8 +117,9 @@ def test_an_irradiance_counts_by_its_text_or_is_refused(text: str) -> None:
     other = line.copy()
     other["irradiance"] = (line.irradiance / (factor or 1.0)).assign_attrs(units=text)
     if factor is None:
-        with refusal(PaintError, "units-not-convertible", "'irradiance'"):
-            other.paint.reflectance()
+        expect_refusals(
+            (PaintError, "units-not-convertible", "'irradiance'", lambda: other.paint.reflectance())
+        )
     else:
         np.testing.assert_allclose(
             other.paint.reflectance().reflectance, line.paint.reflectance().reflectance, rtol=2.4e-7
@@ -195,8 +197,7 @@ def test_quantities_inside_of_dask_blocks_are_refused() -> None:
     line = worked_example()
     blocks = line.irradiance.chunk().data.map_blocks(lambda block: FIRST.Quantity(block, "mW/m^2/nm"))
     wrapped = line.assign(irradiance=line.irradiance.copy(data=blocks))
-    with refusal(UnitsError, "array-foreign", "'irradiance'"):
-        wrapped.paint.reflectance()
+    expect_refusals((UnitsError, "array-foreign", "'irradiance'", lambda: wrapped.paint.reflectance()))
 
 
 def level_line() -> xr.Dataset:
@@ -218,7 +219,6 @@ def test_units_of_places() -> None:
     line["latitude"].attrs["units"] = "degrees_north"
     line["longitude"].attrs["units"] = "degrees_east"
     line["altitude"] = ("along_track", FIRST.Quantity([150.0 / 0.3048], "ft"))
-    pytest.importorskip("pyproj")
     convention = hp.Convention(column_order="left_to_right")
     camera = hp.geometry.PinholeCamera(3, field_of_view=90.0, edges="centres")
     assert hp.geometry.PinholeCamera(
@@ -243,7 +243,6 @@ def test_units_of_places() -> None:
 
 
 def test_a_height_model_in_feet() -> None:
-    pytest.importorskip("rioxarray")
     line = level_line()
     options = {
         "camera": hp.geometry.PinholeCamera(3, field_of_view=30.0, edges="centres"),
@@ -364,12 +363,9 @@ def test_an_argument_is_of_the_kind_of_its_annotation(name: str, value: Any, exp
 
 
 def test_the_door_changes_no_call() -> None:
-    with pytest.raises(TypeError, match="positional"):
-        hp.calibration.etendue_from_optics(2.5, 7.4e-6, 2e-5, 1.0)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="missing"):
-        hp.calibration.etendue_from_optics(2.5)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="unexpected"):
-        hp.calibration.etendue_from_optics(2.5, 7.4e-6, slit=2e-5)  # type: ignore[call-arg]
+    expect_error(TypeError, "positional", lambda: hp.calibration.etendue_from_optics(2.5, 7.4e-6, 2e-5, 1.0))
+    expect_error(TypeError, "missing", lambda: hp.calibration.etendue_from_optics(2.5))
+    expect_error(TypeError, "unexpected", lambda: hp.calibration.etendue_from_optics(2.5, 7.4e-6, slit=2e-5))
     with pytest.raises(hp.SchemaError, match="exposure_time_ms='5'"):  # with all else that is wrong
         hp.simulation.SimulationSettings(exposure_time_ms="5")  # type: ignore[arg-type]
 
