@@ -5,11 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
+import rasterio
 import shapely
 import xarray as xr
 from click.testing import CliRunner
 from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
@@ -23,10 +26,6 @@ from hyperpaint.io.maps.map_grids import (
     with_own_transform,
 )
 from hyperpaint.workflows.maps import write_map
-
-pyproj = pytest.importorskip("pyproj")
-rasterio = pytest.importorskip("rasterio")
-rioxarray = pytest.importorskip("rioxarray")
 
 # rioxarray multiplies transforms the old way, and numpy will read numbers of text otherwise
 pytestmark = [
@@ -184,8 +183,11 @@ def test_a_stac_item_says_where_and_when(resampled: dict[str, xr.Dataset], tmp_p
     assert about["start_datetime"] < about["datetime"] < about["end_datetime"]
     bands = item["assets"]["data"]["bands"]
     assert bands[1] == {"name": "650 nm", "eo:center_wavelength": 0.65, "eo:full_width_half_max": 0.007}
-    with pytest.raises(hp.SchemaError, match="variable-missing"):
-        stac_item(made.drop_vars("line_time"), tmp_path / "map.tif")
+    expect_error(
+        hp.SchemaError,
+        "variable-missing",
+        lambda: stac_item(made.drop_vars("line_time"), tmp_path / "map.tif"),
+    )
 
 
 @pytest.mark.parametrize(

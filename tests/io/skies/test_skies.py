@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 from oracles.scattered_sky import sky_radiance
-from support.refusals import expect_errors, expect_refusals
+from support.files import write_file
+from support.refusals import expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -44,8 +45,7 @@ def uvspec_text(order: int = 1) -> str:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_uvspec_with_radiances(tmp_path: Path, order: int) -> None:
-    path = tmp_path / "uvspec.out"
-    path.write_text(uvspec_text(order))
+    path = write_file(tmp_path / "uvspec.out", uvspec_text(order))
     table = hp.io.read_uvspec(
         path, sun_zenith=SUN, sun_azimuth=30.0, units="mW m-2 nm-1", directions=ZENITHS.size + 1
     )
@@ -63,8 +63,9 @@ def test_uvspec_with_radiances(tmp_path: Path, order: int) -> None:
 
 
 def test_uvspec_without_radiances_and_other_columns(tmp_path: Path) -> None:
-    path = tmp_path / "uvspec.out"
-    path.write_text(" 450.0 500.0 180.0 1. 1. 1. 1.\n 451.0 500.0 181.0 1. 1. 1. 1.\n")
+    path = write_file(
+        tmp_path / "uvspec.out", " 450.0 500.0 180.0 1. 1. 1. 1.\n 451.0 500.0 181.0 1. 1. 1. 1.\n"
+    )
     table = hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1")
     np.testing.assert_allclose(table.direct_normal, 0.5)
     assert "sky_radiance" not in table
@@ -112,8 +113,10 @@ def test_tape7(tmp_path: Path, names: str) -> None:
         f"{nu:12.2f} {transmitted:.6f} 1e-9 9e-9 8e-9 2e-9 1e-9 {w:.8e} {d:.8e}"
         for nu, w, d in zip(wavenumber, per_wavenumber * whole, per_wavenumber * direct, strict=True)
     ]
-    path = tmp_path / "tape7"
-    path.write_text("\n".join(["    1    5    0    6", "   361976 U S STANDARD", names, *rows, "  -9999."]))
+    path = write_file(
+        tmp_path / "tape7",
+        "\n".join(["    1    5    0    6", "   361976 U S STANDARD", names, *rows, "  -9999."]),
+    )
     table = hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     np.testing.assert_allclose(table.wavelength, nm)
     np.testing.assert_allclose(table.direct_normal, direct / 0.5, rtol=1e-6)
@@ -165,8 +168,7 @@ def test_csv_of_radiances(tmp_path: Path) -> None:
         "wavelength [um],zenith [degree],azimuth [degree],radiance [mW m-2 sr-1 nm-1],"
         "direct_normal [mW m-2 nm-1],diffuse [mW m-2 nm-1]"
     )
-    path = tmp_path / "sky.csv"
-    path.write_text("\n".join(["# a sky", heading, *rows]))
+    path = write_file(tmp_path / "sky.csv", "\n".join(["# a sky", heading, *rows]))
     table = read_sky_csv(path)
     np.testing.assert_allclose(table.wavelength, [450.0, 550.0])
     np.testing.assert_allclose(table.direct_normal, 1.0)
@@ -184,8 +186,7 @@ def test_csv_of_radiances(tmp_path: Path) -> None:
         (["nan" + rows[0][4:]], "not-finite"),
     ):
         path.write_text("\n".join([heading, *rows_after]))
-        with pytest.raises(FormatError, match=match):
-            read_sky_csv(path)
+        expect_error(FormatError, match, lambda: read_sky_csv(path))
     path.write_text("wavelength [nm],sky [W m-2 nm-1]\n450,0.2\n")
     expect_errors((FormatError, "column-missing", lambda: read_sky_csv(path)))
 
@@ -232,8 +233,7 @@ def test_a_sky_that_is_none_of_ours_is_told() -> None:
 
 def test_what_is_no_light_is_refused() -> None:
     nm = np.array([450.0, 450.0])
-    with pytest.raises(FormatError) as caught:
-        sky_dataset("a", nm, np.ones(2), np.array([0.1, -0.1]))
-    assert caught.value.codes == ("wavelength-repeated", "value-out-of-range")
-    assert caught.value.problems[1].found.startswith("diffuse")
+    caught = expect_error(FormatError, None, lambda: sky_dataset("a", nm, np.ones(2), np.array([0.1, -0.1])))
+    assert caught.codes == ("wavelength-repeated", "value-out-of-range")
+    assert caught.problems[1].found.startswith("diffuse")
     assert isinstance(sky_dataset("a", nm + np.arange(2.0), np.ones(2), np.ones(2)), xr.Dataset)
