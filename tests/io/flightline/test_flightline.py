@@ -448,8 +448,11 @@ def test_dark_is_the_mean_of_its_lines(folder: Path) -> None:
     frames = np.fromfile(folder / "dark" / "raw_0", "u2").reshape(40, BANDS, COLUMNS).astype(np.float64)
     line = open_line(folder)
     np.testing.assert_allclose(line["dark_counts"], frames.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(line["read_noise"] ** 2, frames.var(axis=0, ddof=1) - 1 / 12, rtol=1e-5)
     assert line.attrs["dark_source"] == "raw_0.hdr (40 lines)"
-    assert open_line(folder, dark="none").attrs["dark_source"] == "none"
+    none = open_line(folder, dark="none")
+    assert (none["dark_counts"] == 0).all()
+    assert (none["dark_counts"].dtype, none.attrs["dark_source"]) == (np.float32, "none")
 
 
 def test_darks_of_known_times_are_kept_apart(folder: Path) -> None:
