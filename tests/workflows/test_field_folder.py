@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import xarray as xr
 from support.commands import hyperpaint
+from support.files import write_file
 from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
@@ -257,8 +259,9 @@ def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["mosaic", "RAW_0_colour"])
 def test_lines_whose_maps_would_replace_another_product_are_refused(simulated: Path, name: str) -> None:
     text = (simulated / "collect.toml").read_text(encoding="utf-8")
-    path = simulated / f"{name}.toml"
-    path.write_text(text.replace('id = "raw_20"', f'id = "{name}"'), encoding="utf-8")
+    path = write_file(
+        simulated / f"{name}.toml", text.replace('id = "raw_20"', f'id = "{name}"'), encoding="utf-8"
+    )
     expect_error(CollectError, "name-duplicate", lambda: run_field_day(path))
     path.unlink()
 
@@ -320,7 +323,6 @@ def day(folder_day: Path) -> FieldDay:
 
 def write_level_dem(path: Path, located: xr.Dataset, height: float) -> None:
     # Write a raster of one height around a located line
-    rasterio = pytest.importorskip("rasterio")
     west, north = float(located["east"].min()) - 50.0, float(located["north"].max()) + 50.0
     size = int(max(np.ptp(located[name].values) for name in ("east", "north"))) + 100
     profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
@@ -369,8 +371,7 @@ def test_angles_of_a_file_are_those_of_the_field_of_view(folder_day: Path) -> No
     text = re.sub(
         r"fov_deg = \S+", 'look_angle = "angles.txt"', (folder_day / "author.toml").read_text("utf-8")
     )
-    other = folder_day / "angles.toml"
-    other.write_text(text, encoding="utf-8")
+    other = write_file(folder_day / "angles.toml", text, encoding="utf-8")
     (folder_day / "angles.txt").write_text("\n".join(map(repr, angles.tolist())), encoding="utf-8")
     read = hp.open_collect(other)["flightlines/raw_0"].to_dataset()
     assert (read["look_across"].values == angles).all()

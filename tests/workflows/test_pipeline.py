@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import dask
+import distributed
 import numpy as np
 import pytest
 import xarray as xr
@@ -193,7 +194,6 @@ def test_a_store_may_be_laid_out_for_looking(
 
 
 def test_what_is_refused(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "holiday.jpg").write_bytes(b"x")
@@ -210,7 +210,6 @@ def test_what_is_refused(source: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
     options = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": ":0"}
     without_references(collect)
     with distributed.LocalCluster(**options) as cluster:
@@ -389,9 +388,10 @@ def test_inputs_are_never_written_over(
 ) -> None:
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for out in (tiny.parent, tmp_path, tiny.parent / ".." / "raw"):
-        with pytest.raises(hp.StoreError, match="output-is-input") as caught:
-            process(tiny, out, overwrite=overwrite)
-        assert "whether or not it may overwrite" in str(caught.value)
+        caught = expect_error(
+            hp.StoreError, "output-is-input", partial(process, tiny, out, overwrite=overwrite)
+        )
+        assert "whether or not it may overwrite" in str(caught)
     inside = tiny_collect(radiance_store / "raw", 1)
     expect_error(
         hp.StoreError,
@@ -407,8 +407,11 @@ def test_a_folder_with_a_calibration_is_no_damaged_store(tmp_path: Path) -> None
     hp.to_store(xr.Dataset({"radiance_gain": ("band", [1.0])}), field / "calibration.zarr")
     before = sorted(field.rglob("*"))
     for name in (None, "flightlines/raw_0"):
-        with pytest.raises(hp.StoreError, match="store-foreign"):
-            hp.to_store(xr.Dataset({"a": ("x", [1.0])}), field, name, overwrite=True)
+        expect_error(
+            hp.StoreError,
+            "store-foreign",
+            partial(hp.to_store, xr.Dataset({"a": ("x", [1.0])}), field, name, overwrite=True),
+        )
     assert sorted(field.rglob("*")) == before
 
 

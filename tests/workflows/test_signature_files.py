@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
+from support.files import write_file
 from support.refusals import expect_error, expect_refusals, expect_words
 from support.tiny_collects import without_references
 
@@ -90,8 +91,7 @@ def test_regions_without_a_flight_line(store: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "l.zarr"
-    bad = tmp_path / "bad.geojson"
-    bad.write_text("{")
+    bad = write_file(tmp_path / "bad.geojson", "{")
     far = hp.write_regions(
         hp.Regions((hp.Region("far", [(90, 0), (99, 0), (99, 9)], (), "raw_0"),)), tmp_path / "f"
     )
@@ -214,9 +214,9 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_panels(flown: Path, text: str) -> Path:
-    path = flown.with_name("declared.toml")
-    path.write_text(flown.read_text(encoding="utf-8") + text, encoding="utf-8")
-    return path
+    return write_file(
+        flown.with_name("declared.toml"), flown.read_text(encoding="utf-8") + text, encoding="utf-8"
+    )
 
 
 @NO_ATTITUDE
@@ -293,8 +293,9 @@ def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: P
 def test_an_attribute_that_declares_no_panels(flown: Path) -> None:
     line = next(iter(hp.open_collect(flown)["flightlines"].children.values())).to_dataset()
     for text in ("[{}]", "7", "{", '[{"along_track": 3}]'):
-        with pytest.raises(SchemaError, match="panels-unreadable"):
-            declared_panels(line.assign_attrs(panels=text))
+        expect_error(
+            SchemaError, "panels-unreadable", partial(declared_panels, line.assign_attrs(panels=text))
+        )
 
 
 @pytest.fixture(scope="module")
