@@ -21,6 +21,7 @@ from typing import Any
 
 import dask
 import dask.array as da
+import distributed
 import numpy as np
 import pytest
 import xarray as xr
@@ -34,8 +35,6 @@ from hyperpaint.base.schema import CUBE
 from hyperpaint.io.store import computing, list_groups
 from hyperpaint.io.store.computing import is_mendable
 from hyperpaint.workflows.pipeline import computing_on
-
-distributed = pytest.importorskip("distributed")
 
 GROUP = "flightlines/raw_0"
 SLABS = 6

@@ -8,7 +8,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.workflows.pipeline import virtualise
@@ -97,5 +97,12 @@ def test_cubed(store: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
         values = np.asarray(cube.compute(executor=cubed.runtime.create.create_executor(executor)))
         assert values.tobytes() == wanted["reflectance"].values.tobytes()
     dims = ("along_track", "band", "cross_track")
-    with refusal(hp.SchemaError, "array-foreign", "cubed", "hyperpaint.slab"):
-        small.assign(counts=xr.Variable(dims, counts, {"units": "count"})).paint.reflectance()
+    expect_refusals(
+        (
+            hp.SchemaError,
+            "array-foreign",
+            "cubed",
+            "hyperpaint.slab",
+            lambda: small.assign(counts=xr.Variable(dims, counts, {"units": "count"})).paint.reflectance(),
+        )
+    )
