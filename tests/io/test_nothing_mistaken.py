@@ -1,19 +1,30 @@
 """Records, cubes and arguments taken for something else are refused or warned of; right ones are silent."""
 
+import dataclasses
+import json
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from campaigns.faults.seed_files import prepare, sixs_text
 from support.envi_cubes import toy, write_cube
+from support.files import write_file
 from support.strategies import flight
 from support.wrong_quantities import NM, Case, objection, remarks, sunlight
 
 import hyperpaint as hp
-from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.base.errors import PaintError, PaintWarning
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.dirsig import open_emissivity, read_materials
+from hyperpaint.io.envi.envi_cubes import open_envi, read_header
+from hyperpaint.io.flightline.side_files import exposure_seconds, read_frame_index, read_settings
+from hyperpaint.io.navigation.navigation_records import open_navigation, read_gps_time, read_imu_gps
+from hyperpaint.io.spectrometers.asd import read_asd_text
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.radiometry.panels import Panel
 
@@ -215,3 +226,322 @@ REAL: dict[str, Callable[[Path], xr.Dataset]] = {
 @pytest.mark.parametrize("name", REAL)
 def test_real_files__open_without_a_word(name: str, shared_data: Path) -> None:
     assert remarks(lambda folder: REAL[name](folder / name), shared_data) == []
+
+
+# --- The same content in another spelling, encoding or unit: the same values or a refusal, never others ---
+
+
+_NMEA = [
+    "GPZDA,120000.00,20,07,2021,00,00",
+    *(
+        f"GPGGA,1200{second:02d}.00,4306.{1000 + second},N,07736.2000,W,4,12,0.8,150.0,M,-34.0,M,,"
+        for second in range(12)
+    ),
+]
+
+
+def _sentence(body: str) -> str:
+    total = 0
+    for character in body:
+        total ^= ord(character)
+    return f"${body}*{total:02X}\n"
+
+
+WRITTEN = {
+    "log.nmea": "".join(map(_sentence, _NMEA)),
+    "points.csv": "# crs: EPSG:32617\nname,line,sample,east,north,height\nA,10.5,3,100.25,200.5,50\n"
+    "B,20.0,4,101.75,201.0,51.5\n",
+    "panel.csv": "nm,reflectance\n" + "".join(f"{400 + 5 * i},{0.9 + i / 1e3}\n" for i in range(40)),
+    "cars.geojson": json.dumps(
+        {
+            "type": "FeatureCollection",
+            "coordinates": "sensor",
+            "features": [
+                {
+                    "type": "Feature",
+                    "properties": {"name": "Grün", "flightline": "raw_0", "year": 2019},
+                    "geometry": {"type": "Polygon", "coordinates": [[[1.5, 2], [5, 2], [5, 7.25], [1.5, 2]]]},
+                }
+            ],
+        },
+        ensure_ascii=False,
+    ),
+}  # fmt: skip
+
+READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
+    "ENVI header": ("flight/raw_0.hdr", read_header),
+    "settings": ("flight/settings.txt", lambda path: exposure_seconds(read_settings(path), "settings")),
+    "frame index": ("flight/frameIndex_0.txt", read_frame_index),
+    "frame index of times": ("frameIndex_time.txt", read_frame_index),
+    "imu_gps": ("flight/imu_gps.txt", read_imu_gps),
+    "imu_gps of months": ("imu_gps_month.txt", read_imu_gps),
+    "gps_time": ("gps_time.txt", read_gps_time),
+    "navigation table": ("flight.csv", lambda path: open_navigation(path, format="csv")),
+    "navigation of GPS time": ("flight_gps.csv", lambda path: open_navigation(path, format="csv")),
+    "navigation .lcf": (
+        "flight.lcf", lambda path: open_navigation(path, format="lcf", week=2149, leap_seconds=18)
+    ),
+    "NMEA": ("log.nmea", open_navigation),
+    "control points": ("points.csv", hp.io.read_control_points),
+    "certificate": ("panel.csv", hp.io.read_certificate),
+    "ASD text": ("sky.txt", read_asd_text),
+    "SVC": ("svc/red.sig", hp.open_svc),
+    "irradiance table": ("sky.csv", hp.open_irradiance),
+    "irradiance without a zone": (
+        "zone.csv",
+        lambda path: hp.open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, units="W m-2 nm-1"),
+    ),
+    "sky of uvspec": (
+        "uvspec.out",
+        lambda path: hp.io.read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1", directions=5),
+    ),
+    "sky of MODTRAN": ("tape7", lambda path: hp.io.read_tape7(path, sun_zenith=60.0, ground=0.3)),
+    "sky of 6S": (
+        "sixs.txt", lambda path: hp.io.read_sixs([path, path.with_name("other.txt")], sun_zenith=60.0)
+    ),
+    "sky table": ("radiances.csv", hp.io.read_sky_csv),
+    "emissivity": ("paint.ems", open_emissivity),
+    "materials": ("paints.mat", lambda path: [(each.id, each.name) for each in read_materials(path)]),
+    "library table": ("table.csv", hp.open_library),
+    "library CSV": ("library/paints.csv", hp.open_library),
+    "ECOSTRESS": ("library/text/red.spectrum.txt", hp.open_library),
+    "regions": ("cars.geojson", hp.read_regions),
+    "collect": ("collect.toml", read_collect),
+}  # fmt: skip
+
+
+def _number_respelt(text: str, spelling: str) -> str:
+    # Write decimal fractions in another way; dates, times, versions and names are left
+    def other(match: re.Match[str]) -> str:
+        number = match[0]
+        return f"{number}0" if spelling == "trailing zero" else f"{number}e0"
+
+    return re.sub(r"(?<![\w.:/+-])-?\d{1,4}\.\d+(?![\w.:/-])", other, text)
+
+
+SPELLINGS: Mapping[str, Callable[[str], bytes]] = {
+    "CRLF": lambda text: text.replace("\r\n", "\n").replace("\n", "\r\n").encode(),
+    "LF": lambda text: text.replace("\r\n", "\n").encode(),
+    "byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "no last line end": lambda text: text.rstrip("\r\n").encode(),
+    "blank lines at the end": lambda text: text.encode() + b"\n\n\n",
+    "blanks at line ends": lambda text: re.sub(r"(\r?\n)", r"  \1", text).encode(),
+    "Latin-1": lambda text: text.encode("latin-1", "replace"),
+    "UTF-16": lambda text: text.encode("utf-16"),
+    "trailing zeros": lambda text: _number_respelt(text, "trailing zero").encode(),
+    "exponents": lambda text: _number_respelt(text, "exponent").encode(),
+}
+#: What these programs write in any case: they are read, not only refused.
+MUST_READ = ("CRLF", "LF", "no last line end", "blank lines at the end", "blanks at line ends")
+
+
+#: Raw text that readers pass on as it is written.
+RAW = ("fields", "comments", "header", "factors")
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("seeds")
+    prepare(folder)
+    for name, text in WRITTEN.items():
+        (folder / name).write_text(text, encoding="utf-8", newline="")
+    (folder / "other.txt").write_text(sixs_text(0.65))
+    return folder
+
+
+def plain(value: Any) -> Any:
+    # Return what a reader returned as plain values, without what names files and checksums
+    if isinstance(value, xr.Dataset | xr.DataArray):
+        value = value.to_dataset(name="values") if isinstance(value, xr.DataArray) else value
+        return {
+            str(name): (variable.dims, variable.attrs.get("units"), plain(variable.values))
+            for name, variable in value.variables.items()
+            if name not in RAW
+        }
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind, value.shape, [repr(each) for each in value.ravel().tolist()]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in dataclasses.fields(value) if field.name not in RAW]
+        return {name: plain(getattr(value, name)) for name in names}
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value.name if isinstance(value, Path) else repr(value)
+
+
+def values_of(read: Callable[[Path], Any], path: Path) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        return plain(read(path))
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+@pytest.mark.parametrize("reader", READERS)
+def test_the_same_content_has_the_same_values(reader: str, spelling: str, seeds: Path) -> None:
+    name, read = READERS[reader]
+    path = seeds / name
+    before = path.read_bytes()
+    wanted = values_of(read, path)
+    try:
+        path.write_bytes(SPELLINGS[spelling](before.decode()))
+        values = values_of(read, path)
+    except PaintError:
+        assert spelling not in MUST_READ
+        return
+    finally:
+        path.write_bytes(before)
+    assert values == wanted
+
+
+# --- other units, zones and notations ----------------------------------------------------------------------
+
+_TIMES = [f"{second:02d}" for second in range(0, 20, 2)]
+
+
+def _irradiance(unit: str, factor: float, zone: str, hour: int, fwhm: str = "# fwhm_nm: 3") -> str:
+    waves = [400 + 5 * band for band in range(60)]
+    rows = [
+        f"2024-05-21T{hour:02d}:00:{second}{zone}"
+        + "".join(f",{factor * (1.0 + band / 64 + step / 8):.9g}" for band in range(60))
+        for step, second in enumerate(_TIMES)
+    ]
+    return "\n".join([f"# units: {unit}", fwhm, "time" + "".join(f",{nm}" for nm in waves), *rows]) + "\n"
+
+
+def _navigation(angle: str, height: str, zone: str, hour: int, columns: str = "rpha") -> str:
+    turn = {"rad": 1.0, "degree": 180.0 / np.pi}[angle]
+    length = {"m": 1.0, "ft": 1.0 / 0.3048, "km": 1e-3}[height]
+    rows = []
+    for step, second in enumerate(_TIMES):
+        row = [43.1 + step / 1024, -77.6, (150.0 + step / 4) * length, turn * step / 256, 0.0, turn * 0.5]
+        rows.append(f"2024-06-01T{hour:02d}:00:{second}{zone}," + ",".join(f"{value:.12g}" for value in row))
+    names = f"roll [{angle}],pitch [{angle}],heading [{angle}]"
+    return (
+        "# column_order: left_to_right\n# roll_positive: right_wing_up\n"
+        f"time,latitude [degree],longitude [degree],altitude [{height}],{names}\n" + "\n".join(rows) + "\n"
+    )
+
+
+def _library(mark: str, decimal: str, percent: bool, wave: float, unit: str) -> str:
+    head = mark.join(
+        [f"wavelength ({unit})", "red (%)" if percent else "red", "blue (%)" if percent else "blue"]
+    )
+    rows = []
+    for band in range(40):
+        values = [band / 64, 1 - band / 64]
+        cells = [(400 + 5 * band) * wave, *[100 * value if percent else value for value in values]]
+        rows.append(mark.join(f"{cell:.9g}".replace(".", decimal) for cell in cells))
+    return "\n".join([head, *rows]) + "\n"
+
+
+def _sky(unit: str, factor: float, light: str, size: float) -> str:
+    head = f"wavelength [{unit}],zenith [degree],azimuth [degree],radiance [{light} m-2 sr-1 nm-1]"
+    rows = [
+        f"{nm * factor:.9g},{zenith},{azimuth},{(zenith + nm) / 8192 * size:.9g},{size * 1.25},{size * 0.25}"
+        for nm in (450.0, 550.0) for azimuth in (0.0, 90.0) for zenith in (10.0, 40.0, 70.0)
+    ]  # fmt: skip
+    return "\n".join([f"{head},direct_normal [{light} m-2 nm-1],diffuse [{light} m-2 nm-1]", *rows]) + "\n"
+
+
+def _header(unit: str, factor: float, order: int, comma: str) -> str:
+    waves = comma.join(f"{factor * (400 + 10 * band):.9g}" for band in range(4))
+    widths = comma.join(f"{factor * 5:.9g}" for _ in range(4))
+    keys = [
+        "samples = 6", "lines = 24", "bands = 4", "header offset = 0", "data type = 12", "interleave = bil",
+        "byte order = 0", f"wavelength units = {unit}", f"wavelength = {{{waves}}}", f"fwhm = {{{widths}}}",
+    ]  # fmt: skip
+    return "\n".join(["ENVI", *keys[::order]]) + "\n"
+
+
+def _poses(path: Path) -> xr.Dataset:
+    # Return navigation with its angles in degrees; it keeps the unit of the file
+    poses = open_navigation(path, format="csv")
+    radians = [name for name in poses.data_vars if poses[name].attrs.get("units") == "radian"]
+    return poses.assign({name: np.degrees(poses[name]).assign_attrs(units="degree") for name in radians})
+
+
+_REGIONS = json.loads(WRITTEN["cars.geojson"])
+_OPEN = {
+    "irradiance": ("sky.csv", hp.open_irradiance),
+    "navigation": ("flight.csv", _poses),
+    "library": ("table.csv", hp.open_library),
+    "sky": ("radiances.csv", hp.io.read_sky_csv),
+    "header": ("raw_0.hdr", read_header),
+    "regions": ("cars.geojson", hp.read_regions),
+}
+_IRRADIANCE = _irradiance("W m-2 nm-1", 1.0, "Z", 12)
+_NAVIGATION = _navigation("rad", "m", "Z", 12)
+_LIBRARY = _library(",", ".", False, 1.0, "nm")
+_SKY = _sky("nm", 1.0, "W", 1.0)
+_HEADER = _header("Nanometers", 1.0, 1, ", ")
+SAME: Mapping[str, tuple[str, str, str]] = {
+    "irradiance in mW": ("irradiance", _IRRADIANCE, _irradiance("mW m-2 nm-1", 1e3, "Z", 12)),
+    "irradiance a micrometre": ("irradiance", _IRRADIANCE, _irradiance("W m-2 um-1", 1e3, "Z", 12)),
+    "irradiance in uW and cm": ("irradiance", _IRRADIANCE, _irradiance("uW cm-2 nm-1", 100.0, "Z", 12)),
+    "irradiance by a slash": ("irradiance", _IRRADIANCE, _irradiance("W/m^2/nm", 1.0, "Z", 12)),
+    "irradiance in another zone": ("irradiance", _IRRADIANCE, _irradiance("W m-2 nm-1", 1.0, "+02:00", 14)),
+    "irradiance west of UTC": ("irradiance", _IRRADIANCE, _irradiance("W m-2 nm-1", 1.0, "-05:00", 7)),
+    "angles in degrees": ("navigation", _NAVIGATION, _navigation("degree", "m", "Z", 12)),
+    "heights in feet": ("navigation", _NAVIGATION, _navigation("rad", "ft", "Z", 12)),
+    "heights in km": ("navigation", _NAVIGATION, _navigation("rad", "km", "Z", 12)),
+    "navigation in another zone": ("navigation", _NAVIGATION, _navigation("rad", "m", "+02:00", 14)),
+    "library in per cent": ("library", _LIBRARY, _library(",", ".", True, 1.0, "nm")),
+    "library in micrometres": ("library", _LIBRARY, _library(",", ".", False, 1e-3, "um")),
+    "library by semicolons": ("library", _LIBRARY, _library(";", ".", False, 1.0, "nm")),
+    "library with decimal commas": ("library", _LIBRARY, _library(";", ",", False, 1.0, "nm")),
+    "library by tabs": ("library", _LIBRARY, _library("\t", ".", False, 1.0, "nm")),
+    "sky in micrometres": ("sky", _SKY, _sky("um", 1e-3, "W", 1.0)),
+    "sky in mW": ("sky", _SKY, _sky("nm", 1.0, "mW", 1e3)),
+    "header in micrometres": ("header", _HEADER, _header("Micrometers", 1e-3, 1, ", ")),
+    "header in another order": ("header", _HEADER, _header("Nanometers", 1.0, -1, ", ")),
+    "header on many lines": ("header", _HEADER, _header("Nanometers", 1.0, 1, " ,\n ")),
+    "regions escaped": ("regions", WRITTEN["cars.geojson"], json.dumps(_REGIONS)),
+    "regions indented": ("regions", WRITTEN["cars.geojson"], json.dumps(_REGIONS, indent=4)),
+    "regions in another order": ("regions", WRITTEN["cars.geojson"], json.dumps(_REGIONS, sort_keys=True)),
+    "regions by fractions": (
+        "regions", WRITTEN["cars.geojson"], json.dumps(_REGIONS).replace("[5,", "[5.0,"),
+    ),
+}  # fmt: skip
+
+
+def _numbers(value: Any) -> Any:
+    # Return values to nine digits: what a factor of a unit may change in the last place is no difference
+    if isinstance(value, Mapping):
+        return {key: _numbers(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_numbers(each) for each in value]
+    try:
+        return f"{float(value):.6g}"
+    except (TypeError, ValueError):
+        return value
+
+
+@pytest.mark.parametrize("notation", SAME)
+def test_other_units_and_notations_have_the_same_values(notation: str, tmp_path: Path) -> None:
+    kind, text, other = SAME[notation]
+    name, read = _OPEN[kind]
+    path = write_file(tmp_path / name, text, encoding="utf-8")
+    wanted = _numbers(values_of(read, path))
+    path.write_text(other, encoding="utf-8")
+    assert text != other
+    assert _numbers(values_of(read, path)) == wanted
+
+
+def test_another_spelling_of_a_collect_is_the_same_collect(seeds: Path) -> None:
+    # Dotted keys for tables, literal strings
+    path = seeds / "collect.toml"
+    before = path.read_text()
+    wanted = values_of(read_collect, path)
+    sections = re.split(r"(?m)^(?=\[)", before)
+    single = [section for section in sections[1:] if not section.startswith("[[")]
+    dotted = ""
+    for section in single:
+        name, _, body = section.partition("]\n")
+        dotted += re.sub(r"(?m)^(?=[a-z_]+ *=)", f"{name[1:]}.", body)
+    several = [section for section in sections[1:] if section.startswith("[[")]
+    try:
+        path.write_text(sections[0] + dotted.replace('"', "'") + "\n" + "".join(several))
+        assert values_of(read_collect, path) == wanted
+    finally:
+        path.write_text(before)
