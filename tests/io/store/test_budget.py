@@ -382,8 +382,11 @@ def test_a_cluster_is_asked_for_the_memory_of_its_workers() -> None:
 
     found = pipeline.demand_of(lines, 256, Client(nthreads=4, memory_limit=2**30), None)  # type: ignore[arg-type]
     assert (found.lines, found.threads) == (256, 4)
-    with pytest.raises(StoreError, match="memory-short"):
-        pipeline.demand_of(lines, 256, Client(nthreads=4, memory_limit=200 * MIB), None)  # type: ignore[arg-type]
+    expect_error(
+        StoreError,
+        "memory-short",
+        lambda: pipeline.demand_of(lines, 256, Client(nthreads=4, memory_limit=200 * MIB), None),
+    )
     free = pipeline.demand_of(lines, 256, Client(nthreads=4, memory_limit=0), 2**30)  # type: ignore[arg-type]
     assert free.lines == 256
 

@@ -22,6 +22,7 @@ import pytest
 import xarray as xr
 import zarr
 from filelock._identity import host_name
+from support.files import write_file
 from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
@@ -221,8 +222,6 @@ def test_damaged_metadata(damage: Callable[[Path], object], store: Path) -> None
 
 
 def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
     def write(number: int) -> str:
         try:
             to_store(xr.Dataset({"a": ("x", np.full(9, float(number)))}), tmp_path / "lot.zarr", f"g{number}")
@@ -504,8 +503,7 @@ def test_a_killed_writers_lock_is_taken_over(lock: Path) -> None:
 
 def test_another_writers_lock_is_left_alone(lock: Path) -> None:
     with writer.locked(lock, lock.parent):
-        other = lock.with_name("other")
-        other.write_text("another's, who was told that we are dead")
+        other = write_file(lock.with_name("other"), "another's, who was told that we are dead")
         other.replace(lock)
     assert lock.read_text().startswith("another's")
 

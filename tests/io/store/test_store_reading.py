@@ -6,6 +6,7 @@ import pickle
 import shutil
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,10 @@ import zarr
 from hypothesis import given, strategies as st
 from support.codecs import flip
 from support.painted_lines import raw
-from support.refusals import expect_error, expect_errors, refusal
+from support.refusals import expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
+from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import (
     IncompleteStoreError,
     MissingExtraError,
@@ -31,6 +33,7 @@ from hyperpaint.base.errors import (
     SchemaError,
     StoreError,
 )
+from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.io.store import (
     computing,
     is_complete,
@@ -248,11 +251,14 @@ def test_metadata_that_are_refused(changes: dict[str, object], match: str, store
     assert report is None or not report.ok
 
 
-def test_all_that_is_wrong_is_listed(store: Path) -> None:
+def test_all_that_is_wrong_is_listed(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     array_of(
         store, shape=[10**12], chunk_grid={"name": "regular", "configuration": {"chunk_shape": [10**11]}}
     )
     assert len(expect_error(StoreError, None, lambda: open_store(store, GROUP)).problems) == 2
+    # one store has so many nodes
+    monkeypatch.setattr("hyperpaint.io.store.manifest.MAX_NODES", 3)
+    expect_refusals((StoreError, "nodes-too-many", "more than 3 ", lambda: verify(store)))
 
 
 def test_a_group_that_is_loaded_must_have_about_its_size_on_the_disk(tmp_path: Path) -> None:
@@ -285,12 +291,6 @@ def test_deep_stores_are_refused_at_once(
     assert time.perf_counter() - begun < 2
     # what is whole can still be read
     xr.testing.assert_equal(open_store(store, GROUP), scene())
-
-
-def test_too_many_nodes(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperpaint.io.store.manifest.MAX_NODES", 3)
-    with refusal(StoreError, "nodes-too-many", "more than 3 "):
-        verify(store)
 
 
 # --- places ------------------------------------------------------------------------------------------------
@@ -413,16 +413,13 @@ def test_chunk_has_the_bytes_that_zarr_writes(
         ("int64", 65535),
         ("bool", False),
         ("M8[ns]", np.iinfo("i8").min),
+        ("float32", np.float32("nan")),
     ],
 )
-def test_fill_value_fits_the_dtype(dtype: str, fill: int) -> None:
-    assert computing.fill_value(np.dtype(dtype)) == fill
-
-
-def test_float_fill_is_nan_of_the_dtype() -> None:
-    fill = computing.fill_value(np.dtype("float32"))
-    assert fill.dtype == "float32"
-    assert np.isnan(fill)
+def test_fill_value_fits_the_dtype(dtype: str, fill: Any) -> None:
+    found = computing.fill_value(np.dtype(dtype))
+    np.testing.assert_equal(found, fill)
+    assert dtype != "float32" or found.dtype == dtype
 
 
 @given(
@@ -496,8 +493,7 @@ def test_what_is_there_whole_is_not_written_again(tmp_path: Path) -> None:
     store = hp.to_store(cube(), tmp_path / "lot.zarr")
     hp.to_store(cube(), store, layout="explore")
     assert xr.open_zarr(store).counts.data.chunksize == (32, 20, 6)
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.to_store(cube(), store, layout="tiles")  # type: ignore[arg-type]
+    expect_error(SchemaError, "choice-unknown", lambda: hp.to_store(cube(), store, layout="tiles"))
 
 
 def test_a_run_cut_short_is_taken_up_in_its_own_layout(tmp_path: Path) -> None:
@@ -547,3 +543,77 @@ def test_reflectance_is_the_same_from_both(tmp_path: Path) -> None:
             assert lazy[name].values.tobytes() == expected[name].values.tobytes()
         band = opened.paint.pixels(wavelength=float(line.wavelength[5]))
         assert band.reflectance.values.tobytes() == expected.reflectance.values[:, 5].tobytes()
+
+
+# --- Stores of every format that was released, and of the present one, are read: one of each is kept ---
+
+
+RELEASED = Path(__file__).with_name("released")
+
+
+def test_a_store_of_every_format_is_kept() -> None:
+    kept = {path.name for path in RELEASED.glob("format_*")}
+    assert kept == {f"format_{number}.zip" for number in range(1, FORMAT_VERSION + 1)}
+
+
+def _unpacked(name: str | int, folder: Path) -> Path:
+    stem = f"format_{name}" if isinstance(name, int) else name
+    with zipfile.ZipFile(RELEASED / f"{stem}.zip") as archive:
+        archive.extractall(folder)
+    return folder / f"{stem}.zarr"
+
+
+def _has_its_counts(tree: xr.DataTree) -> None:
+    for number in (1, 2):
+        expected = np.random.default_rng(number).integers(0, 4096, (40, 3, 4), dtype="uint16")
+        np.testing.assert_array_equal(tree[f"flightlines/raw_{number}"]["counts"].values, expected)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_of_an_older_format_opens_and_is_noted(number: int, tmp_path: Path) -> None:
+    # Two lines as 0.1 and 0.2 began to write them; that of format 2 has a group of a user
+    path = _unpacked(number, tmp_path)
+    report = hp.verify(path)
+    assert report.ok, str(report)
+    assert "hyperpaint 0.2 or older" in report.notes[0]
+    assert {"flightlines/raw_1", "flightlines/raw_2"} <= set(report.groups)
+    tree = hp.open_store(path)
+    _has_its_counts(tree)
+    assert not [key for key in tree["flightlines/raw_1"].attrs if key.startswith("hyperpaint_complete")]
+    chunk = path / "flightlines/raw_1/counts/c/0/0/0"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    assert "/flightlines/raw_1/counts: chunk (0, 0, 0) cannot be read" in str(hp.verify(path))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_of_an_older_format_takes_more_groups(number: int, tmp_path: Path) -> None:
+    path = _unpacked(number, tmp_path)
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), path, "more")
+    report = hp.verify(path)
+    assert report.ok, str(report)
+    assert len(report.notes) >= 2  # the groups of before are not in the manifest
+    _has_its_counts(hp.open_store(path))
+    shutil.rmtree(path / "more")
+    assert "/more: deleted" in str(hp.verify(path))
+
+
+def test_a_store_of_format_3_is_whole(tmp_path: Path) -> None:
+    path = _unpacked(3, tmp_path)
+    report = hp.verify(path)
+    assert (report.ok, report.notes) == (True, ()), str(report)
+    _has_its_counts(hp.open_store(path))
+    shutil.rmtree(path / "flightlines/raw_1")
+    assert "/flightlines/raw_1: deleted" in str(hp.verify(path))
+
+
+@pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")  # of later numerics
+def test_a_store_of_release_0_2_is_whole_and_gives_its_reflectance(tmp_path: Path) -> None:
+    # A simulated line as `process` of 0.2.0 stored it, with its collect and calibration
+    path = _unpacked("release_0_2", tmp_path)
+    report = hp.verify(path)
+    assert report.ok, str(report)
+    line = hp.open_store(path, "flightlines/raw_0")
+    assert line.attrs["hyperpaint_version"] == "0.2.0"
+    again = line.drop_vars(["reflectance", "quality"]).paint.reflectance()
+    np.testing.assert_allclose(again.reflectance, line.reflectance, rtol=2.0**-KEPT_BITS)
+    np.testing.assert_array_equal(again.quality, line.quality)

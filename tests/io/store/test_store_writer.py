@@ -1,9 +1,11 @@
 """`to_store`: what goes in comes out, and nothing else in the store changes."""
 
+import errno
 import os
 import subprocess
 import sys
-import warnings
+import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -20,9 +22,20 @@ import zarr
 from support.codecs import plain_zarr
 from support.refusals import expect_error, expect_errors
 
-from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
+import hyperpaint as hp
+from hyperpaint.base.errors import IncompleteStoreError, SchemaError, StoreError
+from hyperpaint.io.store import (
+    is_complete,
+    list_groups,
+    open_store,
+    open_unverified,
+    to_store,
+    verify,
+    writer,
+)
+from hyperpaint.io.store.manifest import INPUTS
 from hyperpaint.io.store.reader import reads_from
+from hyperpaint.io.store.writer import Staging, run_contents, whole_run
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -94,14 +107,12 @@ def files(folder: Path) -> dict[str, tuple[int, bytes]]:
 def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
     source = flightline(lazy=lazy)
     assert to_store(source, tmp_path / "lot.zarr", group) == tmp_path / "lot.zarr"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
-        assert stored.counts.chunks == (((32, 32, 6), (3,), (5,)))
-        assert ((stored.quality.chunks, stored.time.chunks)) == ((((32, 32, 6), (5,)), ((70,),)))
-        assert "wavelength" not in stored.indexes
-        assert_same(stored, source)
-        assert_same(open_store(tmp_path / "lot.zarr", group), source)
+    stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
+    assert stored.counts.chunks == (((32, 32, 6), (3,), (5,)))
+    assert ((stored.quality.chunks, stored.time.chunks)) == ((((32, 32, 6), (5,)), ((70,),)))
+    assert "wavelength" not in stored.indexes
+    assert_same(stored, source)
+    assert_same(open_store(tmp_path / "lot.zarr", group), source)
     assert stored.counts.attrs == {"units": "count"}
     assert verify(tmp_path / "lot.zarr").ok
     assert os.listdir(tmp_path) == ["lot.zarr"]
@@ -338,10 +349,8 @@ def test_datatree(path: Path, tmp_path: Path) -> None:
     before = files(tmp_path)
     to_store(tree, path)
     assert files(tmp_path) == before
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        opened = xr.open_datatree(path, engine="zarr", chunks={})
-        root = xr.open_zarr(path)
+    opened = xr.open_datatree(path, engine="zarr", chunks={})
+    root = xr.open_zarr(path)
     assert opened.attrs["name"] == "parking-lot"
     assert not root.variables
     for node in ("flightlines/raw_0", "flightlines/raw_1"):
@@ -359,9 +368,7 @@ def test_memory_url() -> None:
     url = f"memory://{os.urandom(4).hex()}.zarr"
     assert to_store(flightline(), url, GROUP) == url
     to_store(flightline(), url, GROUP)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert_same(xr.open_zarr(url, group=GROUP), flightline())
+    assert_same(xr.open_zarr(url, group=GROUP), flightline())
     expect_errors(
         (StoreError, "overwrite", lambda: to_store(flightline(seed=1), url, GROUP)),
         (
@@ -391,8 +398,11 @@ def test_memory_url_of_a_failed_writer_keeps_the_old_group() -> None:
     )
     assert is_complete(url, GROUP)
     assert verify(url).ok
-    with pytest.raises(RuntimeError, match="broken"):
-        to_store(xr.Dataset({"counts": (CUBE, counts)}), url, "flightlines/raw_1")
+    expect_error(
+        RuntimeError,
+        "broken",
+        lambda: to_store(xr.Dataset({"counts": (CUBE, counts)}), url, "flightlines/raw_1"),
+    )
     assert not is_complete(url, "flightlines/raw_1")
 
 
@@ -431,8 +441,7 @@ def test_the_fast_codec_holds_the_same_values_and_any_reader_reads_it(tmp_path: 
     written = (path / GROUP / "counts/c/0/0/0").stat().st_mtime_ns
     to_store(source, path, GROUP, source_token="a")  # the same content, which stays as it is
     assert (path / GROUP / "counts/c/0/0/0").stat().st_mtime_ns == written
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        to_store(source, path, codec="zstd")  # type: ignore[arg-type]
+    expect_error(SchemaError, "choice-unknown", lambda: to_store(source, path, codec="zstd"))
 
 
 @pytest.mark.slow
@@ -576,3 +585,138 @@ def test_a_store_behind_a_link_is_written_where_it_is(occupied: Path, tmp_path: 
     assert occupied.is_symlink()
     assert holds(occupied, 2)
     assert os.listdir(tmp_path / "disk") == ["lot.zarr"]
+
+
+# --- A run's groups get their places beside one another: in order, and none is left behind ---
+
+
+LINES = tuple(f"flightlines/raw_{number}" for number in range(3))
+WAIT_S = 30.0
+
+
+def named_line(name: str, at_compute: Any = None) -> xr.Dataset:
+    def block() -> np.ndarray:
+        if at_compute is not None:
+            at_compute()
+        return np.full((8, 2, 3), len(name), "uint16")
+
+    cube = da.map_blocks(block, chunks=((8,), (2,), (3,)), dtype="uint16", meta=np.empty((0, 0, 0), "uint16"))
+    return xr.Dataset({"counts": (("along_track", "band", "cross_track"), cube)}, attrs={INPUTS: name})
+
+
+def run(path: Path, at_compute: Any = None) -> None:
+    # Write lines as `process` does; ``at_compute`` is called as the second one is computed
+    groups = {name: named_line(name, at_compute if name == LINES[1] else None) for name in LINES}
+    with whole_run(
+        path, run_contents(groups), groups, {}, command="hyperpaint process lot.toml", overwrite=False
+    ) as turn:
+        for name, dataset in groups.items():
+            turn.write(name, dataset)
+
+
+@pytest.fixture
+def publish(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    # What is called with the group before one gets its place; append to it
+    calls: list[Any] = []
+    plain = Staging.publish
+
+    def publish(self: Staging, build: Path, group: str) -> None:
+        for call in calls:
+            call(group)
+        plain(self, build, group)
+
+    monkeypatch.setattr(Staging, "publish", publish)
+    return calls
+
+
+def test_a_group_gets_its_place_while_the_next_is_computed(tmp_path: Path, publish: list[Any]) -> None:
+    computed, order = threading.Event(), []
+
+    def placed(group: str) -> None:
+        if group == LINES[0]:
+            assert computed.wait(WAIT_S), "the second group waited for the first"
+        order.append(group)
+
+    publish.append(placed)
+    run(tmp_path / "lot.zarr", computed.set)
+    assert order == list(LINES)
+    assert hp.verify(tmp_path / "lot.zarr").ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+@pytest.mark.parametrize("which", LINES)
+def test_what_goes_wrong_in_the_background_ends_the_run(
+    which: str, path: Path, tmp_path: Path, publish: list[Any]
+) -> None:
+
+    def full(group: str) -> None:
+        if group == which:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    publish.append(full)
+    expect_error(StoreError, "disk-full", lambda: run(path))
+    expect_error(IncompleteStoreError, None, lambda: hp.open_store(path))
+    assert set(list_groups(path)) == set(LINES[: LINES.index(which)])
+    publish.clear()
+    run(path)
+    assert hp.verify(path).ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_the_store_is_held_until_the_last_group_has_its_place(
+    path: Path, tmp_path: Path, publish: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, waits, plain = threading.Event(), [], writer.wait
+
+    def slow(group: str) -> None:
+        begun.set()
+        time.sleep(0.5)
+        assert (tmp_path / ".partial-lot.zarr" / "lock").exists()
+
+    def interrupted(futures: Any) -> Any:
+        waits.append(futures)
+        if len(waits) < 3:
+            raise KeyboardInterrupt
+        return plain(futures)
+
+    def stop() -> None:
+        assert begun.wait(WAIT_S)
+        raise KeyboardInterrupt
+
+    publish.append(slow)
+    monkeypatch.setattr(writer, "wait", interrupted)
+    expect_error(KeyboardInterrupt, None, lambda: run(path, stop))
+    assert (len(waits), set(list_groups(path))) == (3, {LINES[0]})
+    assert not (tmp_path / ".partial-lot.zarr" / "lock").exists()
+    monkeypatch.undo()
+    run(path)
+    assert hp.verify(path).ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_groups_follow_one_another_where_a_thread_would_take_room(
+    tmp_path: Path, publish: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: set[str] = set()
+    publish.append(lambda _: threads.add(threading.current_thread().name))
+    monkeypatch.setattr(writer, "thread_space", lambda: 1)
+    run(tmp_path / "lot.zarr")
+    assert threads == {threading.current_thread().name}
+    assert hp.verify(tmp_path / "lot.zarr").ok
+
+
+def test_what_failed_before_is_a_note_of_the_error(tmp_path: Path, publish: list[Any]) -> None:
+    refused = threading.Event()
+
+    def refuse(group: str) -> None:
+        if group == LINES[0]:
+            refused.set()
+            raise StoreError("the disk is gone")
+
+    def end() -> None:
+        refused.wait(WAIT_S)
+        raise ValueError("no light")
+
+    publish.append(refuse)
+    caught = expect_error(ValueError, "no light", lambda: run(tmp_path / "lot.zarr", end))
+    assert any("the disk is gone" in note for note in caught.__notes__)
