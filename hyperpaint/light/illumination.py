@@ -555,18 +555,12 @@ def match_irradiance(
         centres = np.atleast_1d(np.asarray(wavelength, np.float64))
         widths = np.broadcast_to(np.asarray(fwhm, np.float64), centres.shape)
         slope = log_slope(centres, np.asarray(responsivity), 2.0 * widths)
-    imager = {
-        "wavelength": wavelength,
-        "fwhm": fwhm,
-        "srf_shape": srf_shape,
-        "slope": slope,
-        "srf_offset": srf_offset,
-        "srf": srf,
-    }
-    shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
-    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
-    matching = matching_operator(*responses, tuple(shifts.tolist()))
-    _warn_of_bands(matching, channels, imager)
+    shifts = np.atleast_1d(np.asarray(nodes, np.float64))
+    arrays = {"wavelength": wavelength, "fwhm": fwhm, "srf_offset": srf_offset, "srf": srf}
+    imager = imager_of({**arrays, "responsivity_slope": slope}, srf_shape)
+    spectrometer = Responses(channels, np.asarray(irradiance_fwhm, np.float64), irradiance_srf_shape)
+    matching = matching_operator(spectrometer, imager, tuple(shifts.tolist()))
+    _warn_of_bands(matching, channels, imager.wavelength)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
@@ -583,31 +577,13 @@ def match_irradiance(
     }
     matched = matched.assign_coords(
         node=("node", shifts, {"units": "nm", "long_name": "Wavelength shift"}),
-        wavelength=("band", centres, VARIABLES["wavelength"].attrs),
+        wavelength=("band", imager.wavelength, VARIABLES["wavelength"].attrs),
         **quality,
     )
     return label(matched, "irradiance")
 
 
-def _responses(
-    channels: Floats, irradiance_fwhm: Any, irradiance_shape: str, imager: Mapping[str, Any]
-) -> tuple[Responses, Responses]:
-    wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
-    fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
-    bands = Responses(
-        wavelength,
-        fwhm,
-        imager["srf_shape"],
-        spacing=imager.get("spacing"),
-        slope=imager["slope"],
-        offset=imager["srf_offset"],
-        table=imager["srf"],
-    )
-    return Responses(channels, irradiance_fwhm, irradiance_shape), bands
-
-
-def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, Any]) -> None:
-    wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
+def _warn_of_bands(matching: Matching, channels: Floats, wavelength: Floats) -> None:
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:
         warn_user(
@@ -656,17 +632,17 @@ class RecordDeparture(NamedTuple):
     width: float  #: Width of the record over the declared one [1]
 
 
-def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
-    # Return the imager's responses as `matched_series` takes them, from a flight line's small variables.
-    return {
-        "wavelength": np.asarray(arrays["wavelength"], np.float64),
-        "fwhm": np.asarray(arrays["fwhm"], np.float64),
-        "spacing": arrays.get("band_spacing"),
-        "srf_shape": srf_shape,
-        "srf_offset": arrays.get("srf_offset"),
-        "srf": arrays.get("srf"),
-        "slope": responsivity_slope(arrays),
-    }
+def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> Responses:
+    # Return the imager's responses from a flight line's small variables.
+    return Responses(
+        arrays["wavelength"],
+        arrays["fwhm"],
+        srf_shape,
+        spacing=arrays.get("band_spacing"),
+        slope=responsivity_slope(arrays),
+        offset=arrays.get("srf_offset"),
+        table=arrays.get("srf"),
+    )
 
 
 def matched_series(
@@ -674,7 +650,7 @@ def matched_series(
     channels: Floats,
     irradiance_fwhm: Any,
     irradiance_shape: str,
-    imager: Mapping[str, Any],
+    imager: Responses,
     nodes: Floats,
     departure: RecordDeparture | None = None,
 ) -> tuple[Floats, Floats]:
@@ -685,15 +661,15 @@ def matched_series(
     # misfit.
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
-    spectrometer, bands = _responses(channels[order], width, irradiance_shape, imager)
+    spectrometer = Responses(channels[order], width, irradiance_shape)
     shifts = tuple(np.asarray(nodes, np.float64).tolist())
-    matching = matching_operator(spectrometer, bands, shifts)
-    _warn_of_bands(matching, channels[order], imager)
+    matching = matching_operator(spectrometer, imager, shifts)
+    _warn_of_bands(matching, channels[order], imager.wavelength)
     misfit = matching.misfit
     if departure is not None:
         shift = shift_at(channels[order], departure.shift_nm, departure.slope_nm)
         measured = Responses(channels[order] - shift, width * departure.width, irradiance_shape)
-        misfit = misfit_through(spectrometer, measured, bands, shifts)
+        misfit = misfit_through(spectrometer, measured, imager, shifts)
     return _apply(matching, np.asarray(spectra), order), misfit
 
 

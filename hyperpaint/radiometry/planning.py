@@ -468,7 +468,7 @@ def _illuminate(
         light.get("departure"),
     )
     spectra = spectra[used_samples]
-    wavelength = imager["wavelength"]
+    wavelength = imager.wavelength
     # Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
     #
     # spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
@@ -489,9 +489,7 @@ def _illuminate(
             "irradiance-gaps",
         )
     if tilt is not None:
-        factors = tilt_factors(
-            tilt, {**light, "time": time}, used_samples, imager["wavelength"], _mean_position(cube)
-        )
+        factors = tilt_factors(tilt, {**light, "time": time}, used_samples, wavelength, _mean_position(cube))
         matched = matched * factors[:, None, :]
     light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
