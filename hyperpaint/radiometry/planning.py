@@ -6,7 +6,6 @@ It runs once per line, as a node of the graph: wrong values are reported when re
 import dataclasses
 import math
 import threading
-import uuid
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -604,7 +603,6 @@ MAX_PLANS = 8
 MAX_BYTES = 64 * 2**20
 #: Largest plan that is embedded in a graph [byte]; tasks compute larger plans from smaller inputs.
 MAX_EMBEDDED_BYTES = 8 * 2**20
-MAX_PENDING_PLANS = 16
 
 
 def _is_lazy(variable: xr.Variable) -> bool:
@@ -612,18 +610,14 @@ def _is_lazy(variable: xr.Variable) -> bool:
     return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
 
 
-class Entry:
-    # A plan with the inputs it was made from, and the small coordinates of its line.
+class PlanSource:
+    # The inputs that a plan is made from, to be compared with those of another line.
     #
     # ``line``: flight line with dims named by role; ``options``: compared with ``==``.
-    plan: Any = None  #: a `Plan`, None until it is made
-    #: Small coordinates; the attributes are those of reflectance
-    labels = xr.Dataset()
-
     def __init__(self, line: xr.Dataset, options: tuple[Any, ...]) -> None:
         self._options = (*options, "counts" in line.variables)
         self._attrs: dict[Any, Any] = dict(line.attrs)
-        self._contents, self._sources, self._nbytes = {}, {}, 0
+        self._contents, self._sources, self.nbytes = {}, {}, 0
         for name, variable in line.variables.items():
             if ALONG_TRACK in variable.dims and {BAND, CROSS_TRACK} & set(variable.dims):
                 continue
@@ -638,16 +632,11 @@ class Entry:
                 # bytes are compared: NaN equals NaN, and the sign of zero matters
                 values = np.asarray(variable.values)
                 content = values.tolist() if values.dtype == object else values.tobytes()
-                self._nbytes += values.nbytes
+                self.nbytes += values.nbytes
             self._contents[name] = (variable.dims, variable.shape, variable.dtype, content)
 
-    @property
-    def nbytes(self) -> int:
-        # Bytes of the copies of small variables, of the coordinates, and of the plan where it is made.
-        return self._nbytes + self.labels.nbytes + bytes_of(self.plan)
-
-    def is_of(self, other: "Entry") -> bool:
-        # Return whether the inputs of another entry give the same plan.
+    def is_of(self, other: "PlanSource") -> bool:
+        # Return whether the inputs of another line give the same plan.
         return (
             self._options == other._options
             and self._contents == other._contents
@@ -655,40 +644,39 @@ class Entry:
             and bool(xr.core.utils.dict_equiv(self._attrs, other._attrs))
         )
 
+    def __reduce__(self) -> Any:
+        # None in another process, which has a cache of its own, if any.
+        return type(None), ()
+
+
+@dataclasses.dataclass(eq=False)
+class Entry:
+    # A plan with the inputs it was made from, and the small coordinates of its line.
+    source: PlanSource
+    plan: Any = None  #: a `Plan`, None until it is made
+    #: Small coordinates; the attributes are those of reflectance
+    labels: xr.Dataset = dataclasses.field(default_factory=xr.Dataset)
+
+    @property
+    def nbytes(self) -> int:
+        # Bytes of the copies of small variables, of the coordinates, and of the plan where it is made.
+        return self.source.nbytes + self.labels.nbytes + bytes_of(self.plan)
+
 
 class PlanCache:
     # The most recently used plans by the inputs they were made from; thread-safe.
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._entries: list[Entry] = []  # most recently used last
-        self._pending: dict[str, Entry] = {}
 
     def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry:
         # Return the plan of a line; an entry without a plan where it is not cached.
-        entry = Entry(line, options)
+        source = PlanSource(line, options)
         for cached in self._entries[::-1]:
-            if cached.is_of(entry):
+            if cached.source.is_of(source):
                 self.add(cached)
                 return cached
-        return entry
-
-    def expect(self, entry: Entry) -> str:
-        # Return the name with which a task will `fulfil` the plan of an entry.
-        name = uuid.uuid4().hex
-        with self._lock:
-            if entry.nbytes <= MAX_BYTES // 2:
-                self._pending[name] = entry
-            while len(self._pending) > MAX_PENDING_PLANS:
-                del self._pending[next(iter(self._pending))]
-        return name
-
-    def fulfil(self, name: str, plan: Plan) -> None:
-        # Add an expected plan; does nothing in a process that did not call `expect`.
-        with self._lock:
-            entry = self._pending.pop(name, None)
-        if entry is not None:
-            entry.plan = plan
-            self.add(entry)
+        return Entry(source)
 
     def add(self, entry: Entry) -> None:
         # Add a plan or mark it as used; the least recently used plans are dropped.
@@ -718,25 +706,31 @@ def lazy_plan(
     # With ``options`` None no cache is used; else a cached plan is embedded in the graph.
     def of_cube(shape: tuple[int, int, int], dtype: str, starts: Array) -> Delayed:
         name = f"make_plan-{dask.base.tokenize(planner, shape, dtype, starts, inputs)}"
-        expected = ""
+        source = None
         if options is not None:
             entry = PLANS.entry(line, (*options, planner, shape, dtype))
-            if entry.plan is None:
-                expected = PLANS.expect(entry)
-            elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
+            if entry.plan is not None and bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
                 return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
+            # the graph keeps the inputs alive, not the plan
+            source = entry.source if entry.plan is None and entry.nbytes <= MAX_BYTES // 2 else None
         return dask.delayed(_computed, pure=True)(
-            expected, planner, shape, dtype, starts, inputs, dask_key_name=name
+            source, planner, shape, dtype, starts, inputs, dask_key_name=name
         )
 
     return of_cube
 
 
 def _computed(
-    expected: str, planner: Callable[..., Plan], shape: Any, dtype: str, starts: Array, inputs: Any
+    source: PlanSource | None,
+    planner: Callable[..., Plan],
+    shape: Any,
+    dtype: str,
+    starts: Array,
+    inputs: Any,
 ) -> Plan:
     plan = planner(shape, dtype, starts, **inputs)
-    PLANS.fulfil(expected, plan)
+    if source is not None:
+        PLANS.add(Entry(source, plan))
     return plan
 
 
