@@ -317,7 +317,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
     rows = []
     for panel in panels:
         notes, *row = _judge(panel, context)
-        warn_if(notes, f"{panel['name']}: {'; '.join(notes)}", "panel-doubtful")
+        warn_if(notes, f"{panel['name']}: {'; '.join(notes.values())}", "panel-doubtful")
         rows.append(row)
     *spectra, states, reasons = zip(*rows, strict=True)
     time = np.array([panel["time"] for panel in panels], "datetime64[ns]")
@@ -325,7 +325,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
 
 
 def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
-    # Return the texts of a warning, and the row of a `PanelClosure`, without the time.
+    # Return the texts of a warning by fault, and the row of a `PanelClosure`, without the time.
     observed = np.asarray(panel["observed"], np.float64)
     expected = np.asarray(panel["reflectance"], np.float64)
     is_valid = np.isfinite(observed)
@@ -341,17 +341,15 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
         ceiling = np.broadcast_to(brightest[None, :, None], observed.shape)
     ceiling = np.asarray(ceiling, np.float64)
     is_saturated = ~is_valid & np.isfinite(ceiling)
-    notes: list[str] = []
+    notes: dict[int, str] = {}
     reasons: list[str] = []
-    state = 0
     # pixels that do not show the panel, by brightness and colour in unsaturated bands
     is_unsaturated = ~is_saturated.any(axis=(0, 2)) & is_valid.any(axis=(0, 2))
     is_unsaturated &= context.good & (np.nan_to_num(expected) > 0.0)
     brightness, is_foreign = _brightness_and_outliers(observed, is_unsaturated)
     foreign_share = float(is_foreign.mean())
     if foreign_share >= RULES.noticed_share:
-        state |= _PARTLY_OTHER
-        notes.append(
+        notes[_PARTLY_OTHER] = (
             f"{100 * foreign_share:.1f} % of its pixels are shaded or show something else, and are left out"
         )
         if 1.0 - foreign_share < RULES.least_used:
@@ -371,10 +369,9 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
         (is_saturated & is_panel_and_good).any(axis=1).sum() / max(is_on_panel[:, 0].sum(), 1)
     )
     if saturated_share >= RULES.noticed_share:
-        state |= _SATURATED
         is_refused = np.isnan(total) & (saturated_share_of_band > 0)
         refused_text = f", and {is_refused.sum()} bands are refused" if is_refused.any() else ""
-        notes.append(
+        notes[_SATURATED] = (
             f"{100 * saturated_share:.0f} % of its pixels are saturated, in "
             f"{(saturated_share_of_band > 0).sum()} bands{refused_text}"
         )
@@ -386,17 +383,15 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
     # uneven pixels
     errors = mean_u[context.good & np.isfinite(mean_u)]
     if errors.size and np.median(errors) > RULES.most_error:
-        state |= _UNEVEN
         text = f"its pixels are uneven: their mean has a standard error of {100 * np.median(errors):.1f} %"
-        notes.append(text)
+        notes[_UNEVEN] = text
         if np.median(errors) > max(RULES.refused_error, RULES.coverage * panel["uncertainty"]):
             reasons.append(f"{text}; part of it may be shaded")
     # a tilt, and a factor far from 1
     u = factor * np.sqrt(context.u**2 + panel["uncertainty"] ** 2 + mean_u**2)
     change, level = _change_by_attitude(factor, panel["direct_share"], context)
     if change:
-        state |= _LEANING
-        notes.append(
+        notes[_LEANING] = (
             f"its factor has the spectrum of a tilted panel, {100 * change:+.1f} % of light by the sun"
         )
         agrees_with_irradiance = not context.has_scale or abs(level - 1.0) <= RULES.coverage * np.nanmedian(u)
@@ -409,9 +404,8 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
     with np.errstate(invalid="ignore"):
         is_deviating = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
     if context.has_scale and is_deviating.size and is_deviating.mean() >= RULES.off_bands:
-        state |= _OFF_LEVEL
         low, median, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
-        notes.append(
+        notes[_OFF_LEVEL] = (
             f"it measures {low:.3f} to {high:.3f} (median {median:.3f}) of the reflectance expected from "
             f"irradiance, with a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
@@ -419,7 +413,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
             reasons.append(
                 f"it measures {median:.3g} times its certificate, which is of another panel or unit"
             )
-    state |= REFUSED if reasons else 0
+    state = sum(notes) | (REFUSED if reasons else 0)
     share_used = 1.0 - (is_foreign[:, None, :] | ~is_valid).mean(axis=(0, 2))
     return notes, scale, factor, u, mean_u, share_used, state, "; ".join(reasons)
 
