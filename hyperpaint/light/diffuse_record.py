@@ -32,7 +32,7 @@ from hyperpaint.base import (
 )
 
 from .clear_sky import ClearSky, sunlight_table
-from .illumination import channels_of, check_irradiance_times
+from .illumination import between_stamps, channels_of, check_irradiance_times
 from .sun import solar_position
 
 #: Words of ``sky_state``, in the order of its numbers.
@@ -291,25 +291,17 @@ def _at_lines(
     if not usable.size:
         return np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32), state
     stamps, has_time = samples[usable].astype("datetime64[ns]"), ~np.isnat(time)
-    # as nanoseconds after the first sample, so that no bit depends on the distance to 1970
-    line_ns = np.where(has_time, time.astype("datetime64[ns]") - stamps[0], np.timedelta64(0, "ns")).astype(
-        np.int64
-    )
-    sample_ns = (stamps - stamps[0]).astype(np.int64)
-    after = np.clip(np.searchsorted(sample_ns, line_ns), 0, usable.size - 1)
-    before = np.maximum(after - (line_ns < sample_ns[after]), 0)
-    weight = np.clip(
-        (line_ns - sample_ns[before]) / np.maximum(sample_ns[after] - sample_ns[before], 1), 0.0, 1.0
-    )[:, None]
+    before, weight = between_stamps(stamps, time)
+    after, share = np.minimum(before + 1, usable.size - 1), weight[:, None]
     rows = [
         np.where(
             has_time[:, None],
-            (1.0 - weight) * values[usable[before]] + weight * values[usable[after]],
+            (1.0 - share) * values[usable[before]] + share * values[usable[after]],
             np.nan,
         )
         for values in (fraction, u)
     ]
-    nearer = usable[np.where(weight[:, 0] > 0.5, after, before)]
+    nearer = usable[np.where(weight > 0.5, after, before)]
     state = np.where(has_time, states_of(probability)[nearer], state).astype(np.int8)
     return rows[0].astype(np.float32), rows[1].astype(np.float32), state
 

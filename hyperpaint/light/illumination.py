@@ -153,6 +153,18 @@ def line_light(
     )
 
 
+def between_stamps(stamps: Array, times: Any) -> tuple[Ints, Floats]:
+    # Return for every time the stamp before it, and the weight of the next stamp: 0 or 1 beyond all stamps.
+    #
+    # ``stamps`` (stamp,) datetime64 [ns] increase; a single one is before itself.
+    ticks, line_time = stamps.astype(np.int64), np.asarray(times).astype("datetime64[ns]")
+    line_ns = np.where(np.isnat(line_time), ticks[0], line_time.astype(np.int64))
+    index = np.clip(np.searchsorted(ticks, line_ns, side="right") - 1, 0, max(len(ticks) - 2, 0))
+    after = np.minimum(index + 1, len(ticks) - 1)
+    weight = (line_ns - ticks[index]) / np.maximum(ticks[after] - ticks[index], 1)
+    return index.astype(np.int64), np.clip(weight, 0.0, 1.0)
+
+
 def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: float) -> Floats:
     r"""Return the largest relative error of each line's irradiance that clock errors could cause (line,) [1].
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base import Array, Floats, SchemaError, TimeError, warn_user
+from hyperpaint.light.illumination import between_stamps
 
 #: Relative difference of exposure times up to which a dark is valid for a line.
 SAME_EXPOSURE_SHARE = 0.01
@@ -88,15 +89,6 @@ def darks_of_lines(
     # beyond their times the first and the last dark are used: a dark drifts slowly
     index, share = between_stamps(stamps[order], cube["time"])
     return dark[order], index, share.astype(np.float32)
-
-
-def between_stamps(stamps: Array, times: Any) -> tuple[Array, Floats]:
-    # Return for every time the stamp before it, and the weight of the next stamp: 0 or 1 beyond all stamps.
-    ticks, line_time = stamps.astype(np.int64), np.asarray(times).astype("datetime64[ns]")
-    line_ns = np.where(np.isnat(line_time), ticks[0], line_time.astype(np.int64))
-    index = np.clip(np.searchsorted(ticks, line_ns, side="right") - 1, 0, len(ticks) - 2)
-    weight = (line_ns - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
-    return index.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
 
 def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Floats:

@@ -54,6 +54,7 @@ from hyperpaint.light.illumination import (
     Smile,
     Tilt,
     at_bands,
+    between_stamps,
     check_irradiance_times,
     departure_of_record,
     imager_of,
@@ -64,7 +65,7 @@ from hyperpaint.light.illumination import (
 from hyperpaint.light.sun import solar_position
 
 from . import slabs
-from .darks import between_stamps, dark_weights, darks_of_lines
+from .darks import dark_weights, darks_of_lines
 from .panels import (
     REFUSED,
     RULES as PANEL_RULES,
