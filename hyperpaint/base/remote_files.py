@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import FormatError, MissingExtraError, SchemaError
+from .groups import grouped
 
 #: ``https://...``, also after pathlib reduced ``//`` to ``/``; a drive of Windows has one letter.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])(?!.*::)", re.DOTALL)
@@ -313,10 +314,7 @@ def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
     # Raises `FormatError`: They cannot be read, or are together above `MAX_COPY_BYTES`.
     with _LOCK:
         urls = {place: _PLACEHOLDERS[place] for place in map(str, paths) if place in _PLACEHOLDERS}
-        by_scheme: dict[str, list[str]] = {}
-        for place, url in urls.items():
-            by_scheme.setdefault(url.partition("://")[0], []).append(place)
-        for places in by_scheme.values():
+        for places in grouped((url.partition("://")[0], place) for place, url in urls.items()).values():
             fs, _ = file_system(urls[places[0]])
             keys = [file_system(urls[place])[1] for place in places]
             subject = urls[places[0]] if len(places) == 1 else f"{urls[places[0]]} and {len(places) - 1} more"

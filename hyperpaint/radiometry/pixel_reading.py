@@ -313,7 +313,7 @@ def pixels(
         if is_flagged:
             flags.append(quality[rows][:, selected[1]])
     labels = entry.labels.isel(positions, missing_dims="ignore")
-    values = label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
+    values = label(xr.DataArray(np.concatenate(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
     if is_flagged:
         earlier = None
@@ -321,7 +321,7 @@ def pixels(
             stored = require(line, ["quality"], "reflectance")["quality"]
             part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
             earlier = part.compute(scheduler=scheduler_in_force())
-        merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)
+        merged = merged_quality("reflectance", np.concatenate(flags), earlier, anew=is_from_counts)
         products["quality"] = merged.variable
     region = labels.assign(products).assign_attrs(line.attrs)
     return region.isel(single) if single else region
@@ -375,10 +375,6 @@ def _range_of(positions: Any) -> slice:
     if isinstance(positions, slice):
         return positions
     return slice(int(positions.min()), int(positions.max()) + 1) if len(positions) else slice(0, 0)
-
-
-def _joined(blocks: list[Array]) -> Array:
-    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
 
 def _part_of_plan(plan: Plan, bands: Any, columns: slice) -> Plan:

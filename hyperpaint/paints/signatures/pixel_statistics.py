@@ -289,8 +289,7 @@ def gather(
     # results are deleted once copied: they would otherwise be in memory twice
     for start in range(0, max(len(tasks), 1), BLOCKS_AT_ONCE):
         batch = tasks[start : start + BLOCKS_AT_ONCE]
-        batch_progress = None if progress is None else _offset(progress, start, len(tasks))
-        results = _computed([*batch, *([] if start else lazy.values())], batch_progress)
+        results = _computed([*batch, *([] if start else lazy.values())], progress, start, len(tasks))
         for pixels, arrays in zip(block_pixels[start : start + BLOCKS_AT_ONCE], results, strict=False):
             for output, array in zip(outputs, arrays, strict=True):
                 output[pixels] = array
@@ -301,11 +300,6 @@ def gather(
     return spectra, values
 
 
-def _offset(progress: Progress, finished: int, tasks: int) -> Progress:
-    # Progress over all tasks, from the progress over a batch after `finished` tasks
-    return lambda count, _: progress(min(finished + count, tasks), tasks)
-
-
 def _selected(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
     # Pixels of the cubes (pixel, band) and planes (pixel,) in a block, and whether they have a value (pixel,)
     spectra = [block[rows, bands, columns].astype(np.float32, copy=False) for block in blocks[:cubes]]
@@ -313,7 +307,8 @@ def _selected(blocks: list[Array], cubes: int, rows: Array, columns: Array, band
     return [*spectra, *(block[rows, columns] for block in blocks[cubes:]), present]
 
 
-def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
+def _computed(tasks: list[Any], progress: Progress | None, finished: int, total: int) -> list[Any]:
+    # Compute a batch of tasks after ``finished`` ones; a batch may hold more than the ``total`` counts
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
     client = client_in_force()
@@ -322,7 +317,7 @@ def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
 
         futures = client.compute(tasks)
         for count, _ in enumerate(as_completed(futures), start=1):
-            progress(count, len(futures))
+            progress(min(finished + count, total), total)
         return list(client.gather(futures))
     from dask.callbacks import Callback
 
@@ -331,7 +326,7 @@ def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
     def report(key: Any, *_: Any) -> None:
         if key in waiting:
             waiting.discard(key)
-            progress(len(tasks) - len(waiting), len(tasks))
+            progress(min(finished + len(tasks) - len(waiting), total), total)
 
     with Callback(posttask=report):
         return list(dask.compute(*tasks))
