@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from .constants import finite_mean
 from .facts import one_of
 from .schema import Bools, Floats
 
@@ -95,8 +96,7 @@ def shows_flakes(flop: Floats, aspecular_range: Floats) -> Bools:
     >>> shows_flakes(np.array([[0.5, 0.7], [0.1, 0.1], [0.5, 0.7]]), np.array([30.0, 30.0, 18.0]))
     array([ True, False, False])
     """
-    known = np.isfinite(flop)
-    mean = np.where(known, flop, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
+    mean = finite_mean(flop, axis=-1)
     return np.asarray((mean >= MIN_FLAKE_FLOP) & (aspecular_range >= MAX_ASPECULAR_RANGE_DEG - 1e-6))
 
 

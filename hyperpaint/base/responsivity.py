@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from .constants import finite_mean
 from .schema import ArrayLike, Floats
 
 
@@ -26,9 +27,7 @@ def mean_responsivity(gain: ArrayLike) -> Floats:
     # Gains that are not positive and finite are left out; NaN for a band without a usable gain.
     gain = np.asarray(gain, np.float64)
     usable = np.isfinite(gain) & (gain > 0)
-    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / usable.sum(axis=1))
+    return finite_mean(np.where(usable, 1.0 / np.where(usable, gain, 1.0), np.nan), axis=1)
 
 
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:

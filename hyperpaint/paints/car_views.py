@@ -19,6 +19,7 @@ from hyperpaint.base import (
     Floats,
     Problems,
     SchemaError,
+    finite_mean,
     is_number,
     schema,
     takes_quantities,
@@ -115,10 +116,7 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
         spectra = np.where(library["good"].values.astype(bool), spectra, np.nan)
     angle, names = variables["aspecular_angle"].values, library[SIGNATURE].values
     # a signature without values takes no part in decisions
-    values = np.isfinite(spectra)
-    level = np.where(values, spectra, 0.0).sum(axis=1) / np.where(
-        values.any(axis=1), values.sum(axis=1), np.nan
-    )
+    level = finite_mean(spectra, axis=1)
     u = _column(library, "level_uncertainty", VIEWS.unstated_u)
     difference_u = u.copy()
     for number, text in enumerate(

@@ -303,10 +303,9 @@ def _joint_rank(ranks: Ints, allowed: float) -> int:
 
 def _ranks(values: Floats) -> Ints:
     # Rank of every value in its column, from 1 for the smallest
-    order = np.argsort(values, axis=0, kind="stable")
-    ranks = np.empty(values.shape, np.int64)
-    np.put_along_axis(ranks, order, np.arange(1, len(values) + 1)[:, None], axis=0)
-    return ranks
+    from scipy.stats import rankdata
+
+    return np.asarray(rankdata(values, "ordinal", axis=0), np.int64)
 
 
 def _score_thresholds(values: Floats, rate: float) -> Floats:

@@ -1041,11 +1041,7 @@ def effective_number(plane: Floats) -> float:
     # number and product of pairs by their distance in rings
     pairs, products = np.rint(correlate(is_valid.astype(np.float64))), correlate(departure)
     distances = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
-    ring_of_pair = np.zeros(size, np.int64)
-    for axis, distance in enumerate(distances):
-        ring_of_pair = np.maximum(
-            ring_of_pair, distance.reshape([-1 if a == axis else 1 for a in range(plane.ndim)])
-        )
+    ring_of_pair = np.maximum.reduce(np.meshgrid(*distances, indexing="ij"))
     count = np.bincount(ring_of_pair.ravel(), pairs.ravel())
     total = np.bincount(ring_of_pair.ravel(), products.ravel()) / (products.flat[0] / n)
     # subtracting the mean adds -1/n to every pair
