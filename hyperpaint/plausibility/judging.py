@@ -693,6 +693,12 @@ class Finding:
         return Problem(f"{self.line}: {self.found}", self.expected, mend, option, code=name)
 
 
+def _found_if(is_fault: Any, kind: str, name: str, found: str, expected: str) -> Iterator[Finding]:
+    # Yield the finding if the input has the fault.
+    if is_fault:
+        yield Finding(KINDS[kind], name, found, expected)
+
+
 # -- Statistics of a sample of a cube: blocks of complete lines, spread over the cube.
 
 
@@ -857,15 +863,15 @@ def judge_bands(
         matches = _correlation(radiance_curvature, _curvature(irradiance_at(wavelength + shifts)))
         best = int(np.argmax(np.nan_to_num(matches, nan=-1.0)))
         is_shifted = matches[best] > BAND_RULES.explained
-        if scene_share > BAND_RULES.explained and (is_shifted or record_share < BAND_RULES.unexplained):
-            shifted = f" and {matches[best]:.2f} with {-shifts[best, 0]:.0f} nm added to its wavelengths"
-            yield Finding(
-                KINDS["irradiance-spectrum"],
-                name,
-                f"the correlation of the record with the bands of daylight is {record_share:.2f}"
-                f"{shifted * bool(is_shifted)}; that of the scene is {scene_share:.2f}",
-                f"at least {BAND_RULES.daylight:g}",
-            )
+        shifted = f" and {matches[best]:.2f} with {-shifts[best, 0]:.0f} nm added to its wavelengths"
+        yield from _found_if(
+            scene_share > BAND_RULES.explained and (is_shifted or record_share < BAND_RULES.unexplained),
+            "irradiance-spectrum",
+            name,
+            f"the correlation of the record with the bands of daylight is {record_share:.2f}"
+            f"{shifted * bool(is_shifted)}; that of the scene is {scene_share:.2f}",
+            f"at least {BAND_RULES.daylight:g}",
+        )
         return
     expected_curvature = _curvature(irradiance_at(wavelength) / gain)
     curvature = _curvature(light)
@@ -885,14 +891,14 @@ def judge_bands(
     inverted = _agreements(-_curvature(light * gain), wavelength, irradiance_at)
     order, best_agreement = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
     chance = np.nanmax([-value for value in orders.values()] + list(inverted.values()))
-    if best_agreement > max(BAND_RULES.explained, chance + BAND_RULES.margin):
-        yield Finding(
-            KINDS["band-order"],
-            name,
-            f"the correlation of the bands with daylight is {agreement:.2f}, and {best_agreement:.2f} where "
-            f"their order is {order}",
-            f"at least {BAND_RULES.unexplained:g} in the declared order",
-        )
+    yield from _found_if(
+        best_agreement > max(BAND_RULES.explained, chance + BAND_RULES.margin),
+        "band-order",
+        name,
+        f"the correlation of the bands with daylight is {agreement:.2f}, and {best_agreement:.2f} where "
+        f"their order is {order}",
+        f"at least {BAND_RULES.unexplained:g} in the declared order",
+    )
 
 
 def _roughness(spectrum: Floats, light: Floats) -> float:
@@ -1002,8 +1008,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     # Judge the irradiance record of a line.
     if "irradiance" not in line:
         return
-    if receptor := line["irradiance"].attrs.get("receptor"):
-        yield Finding(KINDS["irradiance-receptor"], name, str(receptor), "a cosine receptor")
+    receptor = str(line["irradiance"].attrs.get("receptor", ""))
+    yield from _found_if(receptor, "irradiance-receptor", name, receptor, "a cosine receptor")
     spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
     times = line[IRRADIANCE_TIME].values
     if not np.isfinite(spectra).any():
@@ -1027,15 +1033,15 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     level = light_level(position, spectra, line["irradiance_wavelength"].values.astype(np.float64), times)
     share = level.median / level.clear
     is_refused = math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share
-    if level.doubt:
-        yield Finding(
-            KINDS["irradiance-level" if is_refused else "irradiance-doubtful"],
-            name if is_refused else RECORD,  # of whose doubts processing warns when it reads the record
-            level.doubt,
-            f"{RECORD_RULES.least_share:g} to {RECORD_RULES.most_share:g} times a clear sky's"
-            if is_refused
-            else "daylight at this place and time",
-        )
+    yield from _found_if(
+        level.doubt,
+        "irradiance-level" if is_refused else "irradiance-doubtful",
+        name if is_refused else RECORD,  # of whose doubts processing warns when it reads the record
+        level.doubt,
+        f"{RECORD_RULES.least_share:g} to {RECORD_RULES.most_share:g} times a clear sky's"
+        if is_refused
+        else "daylight at this place and time",
+    )
 
 
 def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -> Iterator[Finding]:
@@ -1058,14 +1064,14 @@ def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -
         is_exact = (spectra[1:] != spectra[:-1])[~is_repeat].mean() > RECORD_RULES.exact_share
     is_still = covered > RECORD_RULES.still_line_share and is_exact
     is_still &= lengths[run] > RECORD_RULES.still_factor * usual_length
-    if lengths[run] == len(spectra) or is_still:
-        seconds = (times[end] - times[start]) / np.timedelta64(1, "s")
-        yield Finding(
-            KINDS["irradiance-constant"],
-            name,
-            f"{lengths[run]} of {len(spectra)} spectra in a row are bit-identical, for {seconds:.3g} s",
-            "spectra that differ, at least by noise",
-        )
+    seconds = (times[end] - times[start]) / np.timedelta64(1, "s")
+    yield from _found_if(
+        lengths[run] == len(spectra) or is_still,
+        "irradiance-constant",
+        name,
+        f"{lengths[run]} of {len(spectra)} spectra in a row are bit-identical, for {seconds:.3g} s",
+        "spectra that differ, at least by noise",
+    )
 
 
 def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
@@ -1086,16 +1092,16 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
         for key, values in pose.items()
         if key not in ANGLES or np.isfinite(values).any()
     }
-    if max(gaps.values()) > RECORD_RULES.gap_share:
-        shares = ", ".join(
-            f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RECORD_RULES.gap_share
-        )
-        yield Finding(
-            KINDS["navigation-gaps"],
-            name,
-            f"missing for the lines: {shares}",
-            f"at most {100 * RECORD_RULES.gap_share:g} %",
-        )
+    shares = ", ".join(
+        f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RECORD_RULES.gap_share
+    )
+    yield from _found_if(
+        shares,
+        "navigation-gaps",
+        name,
+        f"missing for the lines: {shares}",
+        f"at most {100 * RECORD_RULES.gap_share:g} %",
+    )
     located = np.isfinite(pose["latitude"]) & np.isfinite(pose["longitude"])
     if located.sum() < RECORD_RULES.still_lines:
         return
@@ -1106,16 +1112,15 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
     finite = [values[np.isfinite(values)] for values in angles]
     turn = max((float(np.ptp(np.unwrap(angle, period=360.0))) for angle in finite if angle.size), default=0.0)
     repeat_share = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
-    if turn < RECORD_RULES.turned and (
-        repeat_share > RECORD_RULES.still_share or extent < RECORD_RULES.still_m
-    ):
-        yield Finding(
-            KINDS["navigation-still"],
-            name,
-            f"positions stay the same over {100 * repeat_share:.3g} % of the lines, and lie within "
-            f"{extent:.3g} m",
-            "a platform that moves between lines",
-        )
+    yield from _found_if(
+        turn < RECORD_RULES.turned
+        and (repeat_share > RECORD_RULES.still_share or extent < RECORD_RULES.still_m),
+        "navigation-still",
+        name,
+        f"positions stay the same over {100 * repeat_share:.3g} % of the lines, and lie within "
+        f"{extent:.3g} m",
+        "a platform that moves between lines",
+    )
 
 
 # -- Check for a frame index of another cube, and for doubled or missing frames.
@@ -1211,11 +1216,10 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
         return
     max_share = float(equal_shares[~doubled].max()) if not doubled.all() else 0.0
     chance_count = doubled.size * max_share ** (count * width)
-    if max_share > FRAME_RULES.noisy or chance_count > FRAME_RULES.chance:
-        return
     first = int(np.flatnonzero(doubled)[0]) + 1
-    yield Finding(
-        KINDS["doubled-frames"],
+    yield from _found_if(
+        max_share <= FRAME_RULES.noisy and chance_count <= FRAME_RULES.chance,
+        "doubled-frames",
         name,
         f"{int(doubled.sum())} of {lines} lines are bit for bit the line before, the first is line {first}",
         f"noise: in all other lines at most {100 * max_share:.3g} % of the samples equal the line before",
@@ -1296,14 +1300,14 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
             return
     order, smoothest = min(views.items(), key=lambda item: item[1].roughness)
     min_separation = max(LAYOUT_RULES.separate, LAYOUT_RULES.separation * declared.separation)
-    if smoothest.roughness < max_roughness and smoothest.separation > min_separation:
-        yield Finding(
-            KINDS["interleave"],
-            name,
-            f"neighbouring bands differ by {declared.roughness:.2g} of the variance as {header.interleave}, "
-            f"by {smoothest.roughness:.2g} as {order}",
-            f"interleave = {order}",
-        )
+    yield from _found_if(
+        smoothest.roughness < max_roughness and smoothest.separation > min_separation,
+        "interleave",
+        name,
+        f"neighbouring bands differ by {declared.roughness:.2g} of the variance as {header.interleave}, "
+        f"by {smoothest.roughness:.2g} as {order}",
+        f"interleave = {order}",
+    )
 
 
 def _view(file: io.RawIOBase, header: EnviHeader, lines: int, order: str) -> _View:
@@ -1451,13 +1455,13 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
     drift = max(DARK_RULES.frame_counts, DARK_RULES.frame_drift * median)
     third = levels.size // 3
     is_drifting = third > 2 and abs(np.median(levels[:third]) - np.median(levels[-third:])) > drift
-    if float(np.abs(levels - median).max()) > tolerance or is_drifting:
-        yield Finding(
-            KINDS["dark-unsteady"],
-            name,
-            f"medians of {levels.size} frames range from {levels.min():g} to {levels.max():g} counts",
-            f"{median:g} +- {tolerance:.3g}, at most {drift:.3g} from the first to the last third",
-        )
+    yield from _found_if(
+        float(np.abs(levels - median).max()) > tolerance or is_drifting,
+        "dark-unsteady",
+        name,
+        f"medians of {levels.size} frames range from {levels.min():g} to {levels.max():g} counts",
+        f"{median:g} +- {tolerance:.3g}, at most {drift:.3g} from the first to the last third",
+    )
 
 
 def _judge_light(name: str, dark: Floats, light: Floats, daylight: Floats | None) -> Iterator[Finding]:
@@ -1488,23 +1492,23 @@ def _judge_light(name: str, dark: Floats, light: Floats, daylight: Floats | None
     sky = np.zeros(scene.shape) if daylight is None else rough(daylight[finite])
     if np.isfinite(sky).all() and sky.size >= BAND_RULES.bands and not 0.0 < slope <= DARK_RULES.lit_most:
         share = float(whole @ sky) / math.sqrt(float((whole @ whole) * (sky @ sky)) or 1.0)
-        if share > DARK_RULES.lit_daylight:
-            yield Finding(
-                KINDS["dark-lit"],
-                name,
-                f"the dark's spectrum has a correlation of {share:.2f} with daylight, and little light above",
-                f"under {DARK_RULES.lit_daylight:g}",
-            )
+        yield from _found_if(
+            share > DARK_RULES.lit_daylight,
+            "dark-lit",
+            name,
+            f"the dark's spectrum has a correlation of {share:.2f} with daylight, and little light above",
+            f"under {DARK_RULES.lit_daylight:g}",
+        )
     rest = np.nanmean(columns, axis=1) - slope * light[finite]
     is_significant = (
         DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most and not slope < DARK_RULES.lit_sds * u
     )
-    if not is_significant or min(first, second) < 0.4 * slope:  # light of the scene is in all columns
-        return
+    is_in_all_columns = not min(first, second) < 0.4 * slope  # as light of the scene is
     has_range = float(np.ptp(light[finite])) > DARK_RULES.lit_range * float(np.ptp(rest))
     is_clear = has_range and slope > max(DARK_RULES.lit_refused, DARK_RULES.lit_refused_sds * u)
-    yield Finding(
-        KINDS["dark-lit" if is_clear else "dark-faintly-lit"],
+    yield from _found_if(
+        is_significant and is_in_all_columns,
+        "dark-lit" if is_clear else "dark-faintly-lit",
         name,
         f"the spectrum of the dark follows the scene, with {100 * slope:.2g} +- {100 * u:.1g} % of its light",
         f"no light, under {100 * DARK_RULES.lit_slope:g} %",
@@ -1520,16 +1524,15 @@ def _judge_floor(name: str, blocks: Floats, daylight: Floats) -> Iterator[Findin
     weakened = 1.0 - float(seen[usable] @ expected[usable]) / float(expected[usable] @ expected[usable])
     level = weakened * float(np.nanmedian(blocks))
     lowest = float(np.nanmin(np.nanquantile(blocks, 0.05, axis=(0, 2))))
-    if weakened > DARK_RULES.floor_share and lowest > max(
-        DARK_RULES.floor_counts, DARK_RULES.floor_level * level
-    ):
-        yield Finding(
-            KINDS["dark-missing"],
-            name,
-            f"bands of daylight are weaker by {100 * weakened:.0f} %, as by a level of {level:.0f} counts, "
-            f"and the darkest counts are {lowest:.0f}",
-            f"under {100 * DARK_RULES.floor_share:.0f} %, or dark counts under {DARK_RULES.floor_counts:g}",
-        )
+    yield from _found_if(
+        weakened > DARK_RULES.floor_share
+        and lowest > max(DARK_RULES.floor_counts, DARK_RULES.floor_level * level),
+        "dark-missing",
+        name,
+        f"bands of daylight are weaker by {100 * weakened:.0f} %, as by a level of {level:.0f} counts, "
+        f"and the darkest counts are {lowest:.0f}",
+        f"under {100 * DARK_RULES.floor_share:.0f} %, or dark counts under {DARK_RULES.floor_counts:g}",
+    )
 
 
 def _judge_pattern(
@@ -1575,13 +1578,13 @@ def _judge_pattern(
     # neighbouring differences share elements: three times the uncertainty of independent differences
     slope_u = 3.0 * np.sqrt(np.mean(np.square(residual)) / max(float(np.square(terms[0]).sum()), 1e-30))
     min_slope, max_slope = DARK_RULES.pattern_slopes
-    if not min_slope <= slopes[0] <= max_slope and abs(1.0 - slopes[0]) > DARK_RULES.pattern_sds * slope_u:
-        yield Finding(
-            KINDS["dark-pattern"],
-            name,
-            f"{slopes[0]:.2f} +- {slope_u:.2f} of the dark's pattern is in the scene",
-            f"1, {min_slope:g} to {max_slope:g}",
-        )
+    yield from _found_if(
+        not min_slope <= slopes[0] <= max_slope and abs(1.0 - slopes[0]) > DARK_RULES.pattern_sds * slope_u,
+        "dark-pattern",
+        name,
+        f"{slopes[0]:.2f} +- {slope_u:.2f} of the dark's pattern is in the scene",
+        f"1, {min_slope:g} to {max_slope:g}",
+    )
 
 
 # -- Check for counts above the range of the camera's converter.
@@ -1597,13 +1600,12 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
     # Find counts above the converter's maximum, or above a larger ``saturation_count``.
     limit = max(2**bit_depth - 1, int(saturation_count))
     max_count = int(sample.maximum.max())
-    if max_count <= limit:
-        return
     share = float(np.mean(sample.maximum > limit))
     shifted = sample.divisor > 1 and sample.divisor.bit_count() == 1  # a power of 2
     multiple = f", all multiples of {sample.divisor}: left-justified" if shifted else ""
-    yield Finding(
-        KINDS["stray-counts" if share < STRAY_SHARE else "counts-over-range"],
+    yield from _found_if(
+        max_count > limit,
+        "stray-counts" if share < STRAY_SHARE else "counts-over-range",
         name,
         f"counts up to {max_count}{multiple}, above {limit} in {100 * share:.3g} % of the elements",
         f"at most {limit}, of {bit_depth} bits",
@@ -1616,13 +1618,13 @@ def judge_top(name: str, sample: CubeSample, saturation_limit: float) -> Iterato
     below = (sample.maximum < top) & (sample.maximum >= top - TOP_STEPS * max(sample.divisor, 1))
     is_top = sample.maximum == top
     least = max(TOP_ELEMENTS, TOP_EXCESS * int(below.sum()))
-    if 0.0 < top < saturation_limit and is_top.sum() >= least and is_top.any(axis=1).sum() > 2:
-        yield Finding(
-            KINDS["counts-clipped"],
-            name,
-            f"the counts of {is_top.sum()} elements end at {top:g}, of {below.sum()} just below",
-            f"an end at the saturation count, {saturation_limit + SATURATION_MARGIN_COUNTS:g}",
-        )
+    yield from _found_if(
+        0.0 < top < saturation_limit and is_top.sum() >= least and is_top.any(axis=1).sum() > 2,
+        "counts-clipped",
+        name,
+        f"the counts of {is_top.sum()} elements end at {top:g}, of {below.sum()} just below",
+        f"an end at the saturation count, {saturation_limit + SATURATION_MARGIN_COUNTS:g}",
+    )
 
 
 def judge_line(
