@@ -69,8 +69,7 @@ class UrlPath(type(Path())):  # type: ignore[misc]
         return str(self)
 
     def _has(self, kind: str, **_: Any) -> bool:
-        fs, key = file_system(str(self))
-        with _errors_of(str(self)):
+        with _reached(str(self)) as (fs, key):
             return bool(getattr(fs, kind)(key))
 
     exists = functools.partialmethod(_has, "exists")
@@ -78,8 +77,7 @@ class UrlPath(type(Path())):  # type: ignore[misc]
     is_file = functools.partialmethod(_has, "isfile")
 
     def iterdir(self) -> Iterator["UrlPath"]:
-        fs, key = file_system(str(self))
-        with _errors_of(str(self)):
+        with _reached(str(self)) as (fs, key):
             names = fs.ls(key, detail=False)
         return (self / str(name).rstrip("/").rpartition("/")[2] for name in names)
 
@@ -151,6 +149,14 @@ def _errors_of(url: str) -> Iterator[None]:
         ) from error
 
 
+@contextlib.contextmanager
+def _reached(url: str) -> Iterator[tuple[Any, str]]:
+    # Yield the file system of a URL, and the name of the file in it; errors are those of this package.
+    fs, key = file_system(url)
+    with _errors_of(url):
+        yield fs, key
+
+
 # --- the temporary folder, which repeats names -------------------------------------------------------------
 
 #: URLs of placeholders, by their place.
@@ -218,8 +224,7 @@ def discover(path: str | os.PathLike[str]) -> None:
             _list(place)
         elif place not in _STATES and _is_due(place):  # servers without listings know their files
             try:
-                fs, key = file_system(url)
-                with _errors_of(url):
+                with _reached(url) as (fs, key):
                     state = fs.info(key)
             except FileNotFoundError as error:
                 if isinstance(error.__cause__, OSError):  # of a server that does not answer
@@ -340,8 +345,7 @@ def fetch(paths: Iterable[str | os.PathLike[str]]) -> None:
 
 def remote_states(url: str, only: str = "") -> list[tuple[str, str]]:
     # Return the names of the files below a URL, and what changes with their content; ``only``: their end.
-    fs, key = file_system(url)
-    with _errors_of(url):
+    with _reached(url) as (fs, key):
         rows = fs.find(key, detail=True)
     names = (name for name in sorted(rows) if name.endswith(only))
     return [(name.removeprefix(key), _content_state(rows[name])) for name in names]
@@ -350,8 +354,7 @@ def remote_states(url: str, only: str = "") -> list[tuple[str, str]]:
 def byte_size(path: Path) -> int:
     # Return the size of a file or of all files of a folder, also behind a URL [byte].
     if (url := url_of(origin_of(path))) is not None:
-        fs, key = file_system(url)
-        with _errors_of(url):
+        with _reached(url) as (fs, key):
             return sum(int(row["size"] or 0) for row in fs.find(key, detail=True).values())
     return sum(file.stat().st_size for file in [path, *path.rglob("*")] if file.is_file())
 
@@ -367,8 +370,7 @@ def open_data(path: str | os.PathLike[str]) -> Iterator[tuple[Any, int, int]]:
             status = os.fstat(file.fileno())
             yield file, status.st_size, status.st_mtime_ns
         return
-    fs, key = file_system(url)
-    with _errors_of(url):
+    with _reached(url) as (fs, key):
         state = fs.info(key)
     version = int.from_bytes(hashlib.sha256(_content_state(state).encode()).digest()[:7])
     size = int(state["size"])
@@ -389,8 +391,7 @@ def pieces_of(file: Any, starts: list[int], size: int) -> list[bytes]:
 @functools.lru_cache(maxsize=16)
 def _small_file(url: str, version: int) -> bytes:  # noqa: ARG001
     # A small file is read several times: for its digest, for checks, and to process it.
-    fs, key = file_system(url)
-    with _errors_of(url):
+    with _reached(url) as (fs, key):
         return bytes(fs.cat_file(key))
 
 
