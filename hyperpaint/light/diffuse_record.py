@@ -243,6 +243,8 @@ def split_of_lines(
     import dask
     import dask.array as da
 
+    from hyperpaint.base.many_outputs import split_outputs
+
     wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
     if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
         return None
@@ -263,25 +265,23 @@ def split_of_lines(
     split_of_record = dask.delayed(_split)(
         record.data, samples, channels, wavelength, (*place, calibration_uncertainty, 101_325.0), sun_zenith
     )
-    parts: list[list[Any]] = [[], [], []]
     # blocks are the chunks of the cube
-    starts = list(range(1024, line.sizes[ALONG_TRACK], 1024))
+    chunks: Any = 1024
     for name in ("counts", "radiance", "reflectance"):
         if name in line.variables and line[name].chunks is not None:
-            lines_of_blocks = line[name].variable.chunksizes.get(ALONG_TRACK, ())
-            starts = [int(start) for start in np.cumsum(lines_of_blocks)[:-1]]
-    for rows in np.split(variables["time"].values, starts):
-        block = dask.delayed(_at_lines, nout=3)(split_of_record, samples, rows)
-        shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
-        for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
-            out.append(da.from_delayed(array, shape, dtype))
-    columns = zip(SPLIT, ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,)), parts, strict=True)
-    split = xr.Dataset({name: (dims, da.concatenate(blocks)) for name, dims, blocks in columns})
+            chunks = (line[name].variable.chunksizes.get(ALONG_TRACK, chunks),)
+    stamps = da.from_array(variables["time"].values, chunks)
+    meta = np.empty(0, object)
+    blocks = da.map_blocks(_at_lines, stamps, split_of_record, samples=samples, dtype=object, meta=meta)
+    layout = {0: ("lb", "f4"), 1: ("lb", "f4"), 2: ("l", "i1")}
+    arrays = split_outputs(blocks, "l", layout, {"b": wavelength.size}).values()
+    dims = (ALONG_TRACK, BAND)
+    split = xr.Dataset({name: (dims[: a.ndim], a) for name, a in zip(SPLIT, arrays, strict=True)})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
 
 
 def _at_lines(
-    split: tuple[Floats, Floats, Floats, Floats], samples: Array, time: Array
+    time: Array, split: tuple[Floats, Floats, Floats, Floats], *, samples: Array
 ) -> tuple[Array, Array, Array]:
     # Interpolate fraction, uncertainty (line, band) and state (line,) from the samples around every line.
     fraction, u, probability, _ = split
