@@ -53,6 +53,10 @@ count = [count] = _ = counts = digital_number = digital_numbers = DN = dn = adu 
 electron = [electron_count] = _ = electrons
 radian = [] = rad
 degree = 0.017453292519943295 = deg = degrees = arcdegree
+# latitude, longitude and heading of CF
+@alias degree = degree_north = degrees_north = degreeN = degreesN = degree_N = degrees_N
+@alias degree = degree_east = degrees_east = degreeE = degreesE = degree_E = degrees_E
+@alias degree = degree_true = degrees_true
 percent = 0.01
 permille = 0.001
 minute = 60 * second = min
@@ -132,10 +136,7 @@ def registry(force_ndarray_like: bool = False) -> "pint.UnitRegistry[Any]":
     units: pint.UnitRegistry[Any] = pint.UnitRegistry(
         None, preprocessors=[_spell_for_pint], force_ndarray_like=force_ndarray_like
     )
-    for line in _DEFINITIONS.strip().splitlines():
-        units.define(line)
-    for suffix in ("_north", "N", "_N", "_east", "E", "_E", "_true"):  # CF's latitude, longitude, heading
-        units.define(f"@alias degree = degree{suffix} = degrees{suffix}")
+    units.load_definitions(_DEFINITIONS.splitlines())
     return units
 
 

@@ -577,13 +577,13 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         data = variable._data
         for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
             package = type(array).__module__.partition(".")[0]
-            if package in _FOREIGN_ARRAYS:
-                raise SchemaError(
-                    f"{array_name!r} is an array of {package}",
-                    expected="numpy or dask",
-                    mend=_FOREIGN_ARRAYS[package],
-                    code="array-foreign",
-                )
+            SchemaError.raise_if(
+                package in _FOREIGN_ARRAYS,
+                f"{array_name!r} is an array of {package}",
+                expected="numpy or dask",
+                mend=_FOREIGN_ARRAYS.get(package, ""),
+                code="array-foreign",
+            )
     # maps in degrees, such as those of EMIT-tools
     for north, east in (("latitude", "longitude"), ("lat", "lon")):
         if {north, east} <= set(dataset.dims):

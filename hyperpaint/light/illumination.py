@@ -99,18 +99,18 @@ def line_light(
     samples = np.asarray(irradiance_time).astype("datetime64[ns]")
     check_irradiance_times(samples)
     with Problems("irradiance cannot be assigned to lines", SchemaError) as problems:
-        if max_gap is not None and not max_gap > 0:
-            problems.add(
-                f"'irradiance_max_gap' is {max_gap:g} s",
-                expected="a positive number",
-                code="value-out-of-range",
-            )
-        if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-            problems.add(
-                f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
-                expected="0 or more seconds",
-                code="value-out-of-range",
-            )
+        problems.add_if(
+            max_gap is not None and not max_gap > 0,
+            f"'irradiance_max_gap' is {max_gap} s",
+            expected="a positive number",
+            code="value-out-of-range",
+        )
+        problems.add_if(
+            clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6,
+            f"'irradiance_clock_uncertainty' is {clock_uncertainty} s",
+            expected="0 or more seconds",
+            code="value-out-of-range",
+        )
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero((np.isfinite(levels) & (levels > 0.0)).all(axis=1))
     TimeError.raise_if(
@@ -266,13 +266,12 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
         code="type-wrong",
     )
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
-    if "irradiance" not in names:
-        contents = ", ".join(map(str, irradiance.data_vars)) or "nothing"
-        raise SchemaError(
-            f"the Dataset given as irradiance= holds {contents}",
-            expected="'irradiance' and 'irradiance_fwhm'",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        "irradiance" not in names,
+        f"the Dataset given as irradiance= holds {', '.join(map(str, irradiance.data_vars)) or 'nothing'}",
+        expected="'irradiance' and 'irradiance_fwhm'",
+        code="variable-missing",
+    )
     SchemaError.raise_if(
         IRRADIANCE_TIME not in irradiance["irradiance"].dims,
         f"the Dataset given as irradiance= has irradiance {tuple(map(str, irradiance['irradiance'].dims))}",

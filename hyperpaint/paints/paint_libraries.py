@@ -438,13 +438,13 @@ class Coating:
                 names, values < self.mirrored, np.isfinite(values), strict=True
             ):
                 share = float(is_dark.sum() / max(int(has_value.sum()), 1))
-                if self.mirrored.any() and share > MAX_DARK_SHARE:
-                    problems.add(
-                        f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
-                        mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors "
-                        "k1 times the diffuse fraction), or call remove_mirrored_sky first",
-                        code="paint-too-dark",
-                    )
+                problems.add_if(
+                    self.mirrored.any() and share > MAX_DARK_SHARE,
+                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors "
+                    "k1 times the diffuse fraction), or call remove_mirrored_sky first",
+                    code="paint-too-dark",
+                )
         warn_if(
             low.any() or high.any(),
             f"{int(low.sum())} of {int(np.isfinite(values).sum())} reflectances are darker than any paint "

@@ -809,11 +809,11 @@ def usable_panels(closure: PanelClosure) -> Array:
         "uncertainty, uncertainty = 0.05, or leave it out",
         code="panel-refused",
     )
-    if refused:
-        warn_user(
-            f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}",
-            "panel-refused",
-        )
+    warn_if(
+        refused,
+        f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {''.join(refused[:1])}",
+        "panel-refused",
+    )
     return np.flatnonzero([not reason for reason in closure.reasons])
 
 

@@ -413,13 +413,13 @@ def with_levels(library: xr.Dataset, regions: Regions) -> xr.Dataset:
             clouded.append(region.name)
         levels.append(float(np.hypot.reduce(list(parts.values()))))
         terms.append({cause: round(float(part), 5) for cause, part in parts.items()})
-    if clouded:
-        warn_user(
-            f"clouds were broken over {', '.join(clouded[:5])}: a cloud may have covered the sun there and "
-            "not at the receiver, or the reverse; their level may be wrong by a factor (level_uncertainty); "
-            "take a line flown between clouds, or a region that propose_regions accepts",
-            "clouds-broken",
-        )
+    warn_if(
+        clouded,
+        f"clouds were broken over {', '.join(clouded[:5])}: a cloud may have covered the sun there and "
+        "not at the receiver, or the reverse; their level may be wrong by a factor (level_uncertainty); "
+        "take a line flown between clouds, or a region that propose_regions accepts",
+        "clouds-broken",
+    )
     columns = {
         "level_uncertainty": levels,
         "level_terms": [json.dumps(parts, ensure_ascii=False) if parts else "" for parts in terms],
