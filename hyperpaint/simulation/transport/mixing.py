@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .path_codes import philox
+from .path_codes import philox, place_of
 
 # Members of populations shown by pixels: smooth random fields over the positions of a scene.
 #
@@ -181,7 +181,6 @@ def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> fl
 
 
 _TILE = 16  # columns whose spectra are summed together, before they are written band by band
-_MULTIPLIER = np.uint64(0x9E3779B1)
 
 
 def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
@@ -224,26 +223,20 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
 @borrowing_kernel
 def _number(codes: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
     # number the codes in order of appearance; return the count, or -1 if the table is too small
-    mask = table.size - 1
     number = 0
     for i in range(codes.size):
         code = codes[i]
         if code < 0:
             index[i] = -1
             continue
-        place = (
-            np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER) >> np.uint64(16)) & mask
-        )
-        while table[place] != code:
-            if table[place] < 0:
-                if number == distinct.size:
-                    return -1
-                table[place] = code
-                places[place] = number
-                distinct[number] = code
-                number += 1
-                break
-            place = (place + 1) & mask
+        place = place_of(table, code)
+        if table[place] < 0:
+            if number == distinct.size:
+                return -1
+            table[place] = code
+            places[place] = number
+            distinct[number] = code
+            number += 1
         index[i] = places[place]
     return number
 

@@ -133,6 +133,16 @@ _OWEN_0, _OWEN_1, _OWEN_2, _OWEN_3 = _OWEN
 
 
 @borrowing_kernel
+def place_of(table: Any, code: Any) -> Any:
+    # place of a code in an open-addressing table, whose length is a power of two, or the empty place for it
+    mask = table.size - 1
+    place = np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _WEYL_0) >> _16) & mask
+    while table[place] >= 0 and table[place] != code:
+        place = (place + 1) & mask
+    return place
+
+
+@borrowing_kernel
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     # four words of 32 bits: Philox4x32-10
     # c0, c1, c2, c3: the counter, words of 32 bits in uint64

@@ -47,6 +47,7 @@ from .path_codes import (
     USABLE_BITS,
     even_pair,
     pixel_key,
+    place_of,
     uniforms,
 )
 from .surfaces import (
@@ -225,9 +226,6 @@ def check(
         raise ValueError("; ".join(fault for is_fault, fault in rows if is_fault))
 
 
-_MULTIPLIER = np.uint64(0x9E3779B1)
-
-
 # Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
 class PathTable(NamedTuple):
     codes: Array  # code of every place; -1 for empty places
@@ -254,16 +252,12 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
     if not weight > 0.0:
         return
     codes, sums, in_use = table.codes, table.sums, table.in_use
-    mask = codes.size - 1
-    place = np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER) >> np.uint64(16)) & mask
-    while codes[place] != code:
-        if codes[place] < 0:
-            codes[place] = code
-            sums[place] = 0.0
-            table.used[in_use[0]] = place
-            in_use[0] += 1
-            break
-        place = (place + 1) & mask
+    place = place_of(codes, code)
+    if codes[place] < 0:
+        codes[place] = code
+        sums[place] = 0.0
+        table.used[in_use[0]] = place
+        in_use[0] += 1
     sums[place] += weight
 
 
