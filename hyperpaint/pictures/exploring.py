@@ -1129,15 +1129,13 @@ class Explorer:
             self._widgets.caption.object = html.escape(str(error))
             return
         self._show_picture("detail", detail)
-        self._caption = self._state.band_text(recipe[0]) if len(recipe) == 1 else self._widgets.recipe.value
-        quantity = self._state.quantity.partition(" [")[0]
-        self._caption += "" if self._state.is_reflectance else f" of {quantity}"
-        lines = "columns" if self._state.is_map else "lines"
-        self._caption += f", {lines} {detail.first} to {detail.last - 1}"
-        self._caption += f", {detail.text}" * bool(detail.text)
+        is_one_band = len(recipe) == 1
+        colours = self._state.band_text(recipe[0]) if is_one_band else self._widgets.recipe.value
+        quantity = "" if self._state.is_reflectance else f" of {self._state.quantity.partition(' [')[0]}"
+        lines = f"{'columns' if self._state.is_map else 'lines'} {detail.first} to {detail.last - 1}"
+        self._caption = ", ".join(filter(None, (colours + quantity, lines, detail.text)))
         self._update_caption()
         self._update_flags()
-        is_one_band = len(recipe) == 1
         self._shown_band.update(visible=is_one_band, location=recipe[0] if is_one_band else 0.0)
 
     def _show_picture(self, name: str, picture: Picture | None) -> None:

@@ -119,6 +119,12 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
     )
 
 
+def label_axes(axes: Any, **labels: Any) -> None:
+    # Set title, labels and limits of finished axes, by default over wavelength, and place their legend.
+    axes.set(**{"xlabel": "wavelength [nm]", **labels})
+    legend_below(axes)
+
+
 def columns_for(width: float, plot: float, most: int) -> int:
     """Return the number of plots that fit side by side; ``width`` and ``plot`` in inches.
 

@@ -70,6 +70,7 @@ from .figures import (
     check_picture,
     columns_for,
     ink_of,
+    label_axes,
     label_for,
     legend_below,
     map_dims,
@@ -228,12 +229,7 @@ def spectrum(
         if not is_library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
         _draw_paints(axes, dataset, paint_colours(dataset), paints, spread)
-    axes.set(
-        xlabel="wavelength [nm]",
-        ylabel=quantity_label(shown[name]),
-        ylim=(min(0.0, axes.get_ylim()[0]), None),
-    )
-    legend_below(axes)
+    label_axes(axes, ylabel=quantity_label(shown[name]), ylim=(min(0.0, axes.get_ylim()[0]), None))
     return save_figure(axes.figure, path)
 
 
@@ -557,8 +553,7 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
         )
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])
-    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]", ylim=(0, None))
-    legend_below(axes)
+    label_axes(axes, ylabel="standard uncertainty [1]", ylim=(0, None))
 
 
 OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
@@ -926,13 +921,13 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     if line_seconds.size:
         axes.axvspan(line_seconds.min(), line_seconds.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
     day, _, clock = str(start)[:19].partition("T")
-    axes.set(
+    label_axes(
+        axes,
         title=f"irradiance, {day}",
         xlabel=f"time after {clock} UTC [s]",
         ylabel="irradiance [W m$^{-2}$ nm$^{-1}$]",
         ylim=(0, 1.05 * axes.get_ylim()[1]),
     )
-    legend_below(axes)
 
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
@@ -941,13 +936,7 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
     styles = [{"color": ink_of(axes, strength)} for strength in (0.12, 0.3, 0.9)]
     draw_quantiles(axes, dataset["wavelength"].values, values, styles)
-    axes.set(
-        title=f"{name} of all pixels",
-        xlabel="wavelength [nm]",
-        ylabel=quantity_label(dataset[name]),
-        ylim=(0, None),
-    )
-    legend_below(axes)
+    label_axes(axes, title=f"{name} of all pixels", ylabel=quantity_label(dataset[name]), ylim=(0, None))
 
 
 def draw_quantiles(axes: Any, wavelength: Array, values: Array, styles: Sequence[dict[str, Any]]) -> None:
@@ -1247,14 +1236,9 @@ def scenes_and_spectra(
             label = label_for(region.name) if style == "-" else None
             mean = finite_mean(_spectra_at(line[quantity], along, across), axis=0)
             below.plot(line["wavelength"].values, mean, style, color=colour, label=label)
-        below.set(
-            xlabel="wavelength [nm]",
-            ylabel=f"{quantity} [{line[quantity].attrs.get('units', '')}]",
-            ylim=(0.0, None),
-        )
         if together:
             below.plot([], [], _STYLES[number], color=ink_of(below), label=label_for(name))
-        legend_below(below)
+        label_axes(below, ylabel=f"{quantity} [{line[quantity].attrs.get('units', '')}]", ylim=(0.0, None))
     return save_figure(figure, path)
 
 
@@ -1428,8 +1412,7 @@ def adjacency_figure(
     else:
         plots["added"].set_axis_off()
         plots["along"].tick_params(labelbottom=True)
-        plots["along"].set(xlabel=plots["added"].get_xlabel())
-        legend_below(plots["along"])
+        label_axes(plots["along"], xlabel=plots["added"].get_xlabel())
     return save_figure(figure, path)
 
 
@@ -1614,8 +1597,7 @@ def triptych(
         plots[0].axhline(float(saturation), color=VERMILION, lw=1, ls=":", label="saturation")
     _draw_white(plots[1], dataset, line_indices)
     for axes, name in zip(plots, cubes, strict=True):
-        axes.set(title=name, xlabel="wavelength [nm]", ylabel=quantity_label(cubes[name]), ylim=(0, None))
-        legend_below(axes)
+        label_axes(axes, title=name, ylabel=quantity_label(cubes[name]), ylim=(0, None))
     return save_figure(figure, path)
 
 
@@ -1956,7 +1938,7 @@ def _shade_untrusted(axes: Any, values: Values) -> None:
     for number, (start, stop) in enumerate(runs.tolist()):
         label = None if number else "no gain"
         axes.axvspan(edges[start], edges[stop], color=ORANGE, alpha=0.2, lw=0, zorder=0, label=label)
-    axes.set(xlim=(edges.min(), edges.max()), xlabel="wavelength [nm]")
+    axes.set(xlim=(edges.min(), edges.max()))
 
 
 def _draw_widths(axes: Any, values: Values) -> None:
@@ -1983,8 +1965,7 @@ def _draw_widths(axes: Any, values: Values) -> None:
         margin = 0.4 * float(upper[inner].max() - lower[inner].min()) + 1e-3
         axes.set_ylim(lower[inner].min() - margin, upper[inner].max() + margin)
     _shade_untrusted(axes, values)
-    axes.set(title="width of the bands, monochromator removed", ylabel="FWHM [nm]")
-    legend_below(axes)
+    label_axes(axes, title="width of the bands, monochromator removed", ylabel="FWHM [nm]")
 
 
 def _draw_responsivity(axes: Any, values: Values) -> None:
@@ -1999,8 +1980,9 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     axes.plot(wavelength, responsivity[:, column], color=BLUE, lw=1.8, label=f"column {column}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
-    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]", ylim=(0, None))
-    legend_below(axes)
+    label_axes(
+        axes, title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]", ylim=(0, None)
+    )
 
 
 def _draw_uncertainty(axes: Any, values: Values) -> None:
@@ -2019,12 +2001,12 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
-    axes.set(
+    label_axes(
+        axes,
         title="standard uncertainty of the gain",
         ylabel="relative to the gain [%]",
         ylim=(None, 2.0 * axes.get_ylim()[1]),
     )
-    legend_below(axes)
 
 
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
@@ -2384,14 +2366,9 @@ def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
             axes.plot(signature["wavelength"].values, edge, color=ink_of(axes), lw=0.8, ls=":", label=label)
     count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
     _draw_paint(axes, signature, "quantiles", style["color"], style, f"signature{count}")
-    axes.set(
-        xlabel="wavelength [nm]",
-        ylabel="reflectance factor [1]",
-        ylim=(min(0.0, axes.get_ylim()[0]), None),
-    )
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize="small")
-    legend_below(axes)
+    label_axes(axes, ylabel="reflectance factor [1]", ylim=(min(0.0, axes.get_ylim()[0]), None))
 
 
 # --- receiver operating characteristics of paint detection -------------------------------------------------
@@ -2477,9 +2454,13 @@ def detection_curve(
         rate = result.attrs.get("false_alarm_rate")
         if rate is not None:
             axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
-    labels = "false alarm rate, share of other pixels [1]", "detection rate, share of the paint's pixels [1]"
-    axes.set(xscale="log", ylim=(0.0, 1.02), xlabel=labels[0], ylabel=labels[1])
-    legend_below(axes)
+    label_axes(
+        axes,
+        xscale="log",
+        ylim=(0.0, 1.02),
+        xlabel="false alarm rate, share of other pixels [1]",
+        ylabel="detection rate, share of the paint's pixels [1]",
+    )
     return save_figure(figure, path)
 
 
@@ -2733,5 +2714,4 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
         dashes = _PAINT_DASHES[number // len(COLOURS) % len(_PAINT_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
-    axes.set(xlabel="wavelength [nm]", ylabel="measured / expected reflectance [1]")
-    legend_below(axes)
+    label_axes(axes, ylabel="measured / expected reflectance [1]")
