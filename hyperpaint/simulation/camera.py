@@ -258,20 +258,16 @@ class BandSet:
         cells = max(1, int(np.ceil((max_shift - min_shift) / step)))
         return np.asarray(min_shift + step * np.arange(-1, cells + 2), np.float64)
 
-    def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
-        # Return the position of columns among the nodes: first of four nodes, and the four weights.
+    def between_nodes(self, columns: int) -> tuple[NDArray[np.int64], Floats]:
+        # Return the position of columns among the nodes: first node, and the weights of the nodes from it.
         #
-        # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic; rows
-        # sum to 1.
+        # ``columns``: Number of columns of a camera without smile, which all have the only node.
         #
-        # Raises `SchemaError`: The bands have no smile, and therefore a single node.
-        shift = SchemaError.raise_if_none(
-            self.wavelength_shift,
-            "bands without smile have one node",
-            mend="use the products of this node",
-            code="smile-missing",
-        )
-        node_position = (shift - self.nodes[0]) / self._node_step
+        # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic, or
+        # (cross_track, 1) without smile; rows sum to 1.
+        if self.wavelength_shift is None:
+            return np.zeros(columns, np.int64), np.ones((columns, 1))
+        node_position = (self.wavelength_shift - self.nodes[0]) / self._node_step
         first = np.clip(np.floor(node_position).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(node_position - first - 1)
 
@@ -374,8 +370,7 @@ class BandResponses:
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)
-            for number, spectrum in enumerate(spectra):
-                band_means[number, node] = (responses * spectrum[points]).sum(axis=1)
+            band_means[:, node] = (responses * spectra[:, points]).sum(axis=2)
         return band_means
 
 

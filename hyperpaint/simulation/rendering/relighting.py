@@ -1604,13 +1604,10 @@ class ProductTable:
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
-        # interpolate values at nodes (..., node, band) to columns, (..., band, cross_track)
-        if self.bands.wavelength_shift is None:
-            return np.moveaxis(at_nodes, -2, -1)
-        first, weight = self.bands.between_nodes()
-        return np.moveaxis(
-            np.asarray(sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))), -2, -1
-        )
+        # interpolate values at nodes (..., node, band) to columns, (..., band, cross_track or 1)
+        first, weight = self.bands.between_nodes(1)
+        terms = (at_nodes[..., first + j, :] * weight[:, j, None] for j in range(weight.shape[1]))
+        return np.moveaxis(np.asarray(sum(terms)), -2, -1)
 
     def mix(
         self,
@@ -1629,12 +1626,7 @@ class ProductTable:
             new_index = np.append(np.where(lit, np.cumsum(lit) - 1, -1), -1).astype(np.int32)
             distinct, index = distinct[lit], new_index[index]
         products = self.rows(distinct)
-        columns = out.shape[2]
-        nodes = (
-            self.bands.between_nodes()
-            if self.bands.wavelength_shift is not None
-            else (np.zeros(columns, np.int64), np.ones((columns, 1)))
-        )
+        nodes = self.bands.between_nodes(out.shape[2])
         if texture is not None:
             texture = texture._replace(paths=self.codes.factors(distinct))
         mix_shifted(weight, index, products, *nodes, out, texture)
