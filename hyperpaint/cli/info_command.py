@@ -50,6 +50,7 @@ from hyperpaint.report.summaries import (
     form_of,
     range_of,
     size_of,
+    table_of_facts,
     times_of,
     with_times,
 )
@@ -133,11 +134,7 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
     # Raises `FormatError` if the file is damaged, or has an unknown format; `CollectError` if the collect
     # cannot be processed, with all problems; `StoreError` if the folder is not a Zarr store, or the path is
     # that of kerchunk references.
-    facts = facts_of_path(path, allow)
-    width = max(map(len, facts))
-    indent = "\n" + " " * (width + 4)
-    rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
-    return "\n".join([str(path), *rows])
+    return table_of_facts(str(path), facts_of_path(path, allow).items())
 
 
 # --- facts by kind of file ---------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ HTML comes from macros of ``page.html.j2``: jinja2 escapes every text. A page lo
 """
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -178,12 +178,15 @@ def summary_text(dataset: xr.Dataset, methods: str) -> str:
       ...
     """
     title, facts = _summary(dataset, methods)
+    return table_of_facts(_printable(title), [tuple(map(_printable, pair)) for pair in facts])
+
+
+def table_of_facts(title: str, facts: Collection[tuple[str, ...]]) -> str:
+    # Return the facts with a text below a title, aligned by their names.
     width = max((len(name) for name, _ in facts), default=0)
     indent = "\n" + " " * (width + 4)
-    title, facts = _printable(title), [(_printable(name), _printable(fact)) for name, fact in facts]
-    return "\n".join(
-        [title, *(f"  {name.ljust(width)}  {fact.replace(chr(10), indent)}" for name, fact in facts)]
-    )
+    rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts if text)
+    return "\n".join([title, *rows])
 
 
 def summary_html(dataset: xr.Dataset, methods: str) -> str:
