@@ -466,34 +466,42 @@ def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) ->
     return xr.Variable(dims, values, row.attrs)
 
 
-def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
+def labelled_variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
     return labelled(VARIABLES[name], values, dims)
 
 
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
     return {
-        "wavelength": _variable("wavelength", flight.wavelength),
-        "fwhm": _variable("fwhm", flight.imager.fwhm),
-        "good": _variable("good", np.ones(flight.settings.bands)),
-        "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
+        "wavelength": labelled_variable("wavelength", flight.wavelength),
+        "fwhm": labelled_variable("fwhm", flight.imager.fwhm),
+        "good": labelled_variable("good", np.ones(flight.settings.bands)),
+        "wavelength_shift": labelled_variable(
+            "wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)
+        ),
     }
 
 
 def _calibration(flight: Flight) -> dict[str, xr.Variable]:
     u = flight.settings.gain_u
-    stated = {"radiance_gain_u_systematic": _variable("radiance_gain_u_systematic", u, ())} if u else {}
+    stated = (
+        {"radiance_gain_u_systematic": labelled_variable("radiance_gain_u_systematic", u, ())} if u else {}
+    )
     return stated | {
-        "radiance_gain": _variable("radiance_gain", flight.camera.radiance_gain(flight.response_area)),
-        "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
-        "read_noise": _variable("read_noise", flight.settings.read_noise),
-        "look_angle": _variable("look_angle", flight.look_angle),
+        "radiance_gain": labelled_variable(
+            "radiance_gain", flight.camera.radiance_gain(flight.response_area)
+        ),
+        "electrons_per_count": labelled_variable("electrons_per_count", flight.settings.electrons_per_count),
+        "read_noise": labelled_variable("read_noise", flight.settings.read_noise),
+        "look_angle": labelled_variable("look_angle", flight.look_angle),
     }
 
 
 def write_calibration(flight: Flight, path: Path) -> None:
     # write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise
     optics = flight.camera.optics
-    stray_light = {} if optics is None else {"stray_light": _variable("stray_light", optics.stray_matrix)}
+    stray_light = (
+        {} if optics is None else {"stray_light": labelled_variable("stray_light", optics.stray_matrix)}
+    )
     calibration = xr.Dataset(
         _calibration(flight) | stray_light,
         coords=_band_coords(flight),
@@ -535,7 +543,7 @@ def _line_coords(flight: Flight, recorded: Bools | None = None) -> dict[str, xr.
         stamps[~recorded] = np.datetime64("NaT", "ns")
     lines, _, columns = (np.arange(size) for size in flight.settings.shape)
     values = {"time": stamps, "frame": lines, ALONG_TRACK: lines, CROSS_TRACK: columns}
-    return {name: _variable(name, column_values) for name, column_values in values.items()}
+    return {name: labelled_variable(name, column_values) for name, column_values in values.items()}
 
 
 # ``truth.zarr`` of a flight, written in blocks of lines; replaces an existing store.
@@ -636,13 +644,15 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     line = xr.Dataset(
         {
             "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
-            "dark_counts": _variable("dark_counts", dark, (BAND, CROSS_TRACK)),
+            "dark_counts": labelled_variable("dark_counts", dark, (BAND, CROSS_TRACK)),
             **_calibration(flight),
-            "exposure_time": _variable("exposure_time", settings.exposure_time),
-            "saturation_count": _variable("saturation_count", detector.saturation_count),
-            "irradiance": _variable("irradiance", samples.irradiance),
-            "irradiance_fwhm": _variable("irradiance_fwhm", settings.irradiance_fwhm_nm),
-            "irradiance_max_gap": _variable("irradiance_max_gap", 2.5 * settings.irradiance_interval_s),
+            "exposure_time": labelled_variable("exposure_time", settings.exposure_time),
+            "saturation_count": labelled_variable("saturation_count", detector.saturation_count),
+            "irradiance": labelled_variable("irradiance", samples.irradiance),
+            "irradiance_fwhm": labelled_variable("irradiance_fwhm", settings.irradiance_fwhm_nm),
+            "irradiance_max_gap": labelled_variable(
+                "irradiance_max_gap", 2.5 * settings.irradiance_interval_s
+            ),
             "true_radiance": xr.Variable(CUBE, block.radiance, VARIABLES["radiance"].attrs),
             "true_reflectance": xr.Variable(CUBE, block.reflectance, VARIABLES["reflectance"].attrs),
             "surface": xr.Variable(_PLANE, block.surface, _surface_attrs(flight)),
@@ -656,13 +666,13 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
             **_band_coords(flight),
             **_line_coords(flight, recorded),
             **{
-                name: _variable(name, values)
+                name: labelled_variable(name, values)
                 for name, values in flight.trajectory.pose(flight.line_times / 1e9).items()
             },
-            "irradiance_time": _variable(
+            "irradiance_time": labelled_variable(
                 "irradiance_time", (flight.start + samples.middle).astype("datetime64[ns]")
             ),
-            "irradiance_wavelength": _variable("irradiance_wavelength", ASD_WAVELENGTH),
+            "irradiance_wavelength": labelled_variable("irradiance_wavelength", ASD_WAVELENGTH),
         },
         attrs={
             "name": "simulated line",
@@ -855,14 +865,13 @@ def write_sweep(
             is_earlier = attributes.get("name") == SWEEP_NAME or f"{TRUTH}srf_shape" in attributes
         except (FormatError, ValueError, KeyError, TypeError, AttributeError):
             is_earlier = False
-        if not (overwrite and is_earlier):
-            mend = "choose another path, or replace an earlier sweep with {}"
-            raise StoreError(
-                f"{target} exists",
-                mend=mend.format("overwrite=True"),
-                option=mend.format("--overwrite"),
-                code="store-exists",
-            )
+        StoreError.raise_if(
+            not (overwrite and is_earlier),
+            f"{target} exists",
+            mend="choose another path, or replace an earlier sweep with overwrite=True",
+            option="choose another path, or replace an earlier sweep with --overwrite",
+            code="store-exists",
+        )
         shutil.rmtree(target)
     store_sweep(Sweep(SweepSettings.of(values)), path, truth=truth, progress=progress)
     return path
@@ -1186,14 +1195,13 @@ def simulate_collect(
         code="folder-is-file",
     )
     if root.is_dir() and any(root.iterdir()):
-        if not overwrite:
-            mend = "choose another folder, or replace an earlier collect with {}"
-            raise StoreError(
-                f"{root} is not empty",
-                mend=mend.format("overwrite=True"),
-                option=mend.format("--overwrite"),
-                code="folder-not-empty",
-            )
+        StoreError.raise_if(
+            not overwrite,
+            f"{root} is not empty",
+            mend="choose another folder, or replace an earlier collect with overwrite=True",
+            option="choose another folder, or replace an earlier collect with --overwrite",
+            code="folder-not-empty",
+        )
         # files of a collect that no simulation wrote are not replaced
         entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
         StoreError.raise_if(
@@ -1210,7 +1218,7 @@ def simulate_collect(
                 shutil.rmtree(part_path)
             else:
                 part_path.unlink(missing_ok=True)
-    for name in ("flight", "dark", "asd"):
+    for name in ("flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER):
         (root / name).mkdir(parents=True)
     # mark the folder as simulated, also if this run is interrupted
     (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
@@ -1233,8 +1241,6 @@ def simulate_collect(
         )
     # a file of both spectrometers for every paint of the cars in view, named after the paint
     svc, asd = root / SVC_FOLDER, root / ASD_FOLDER
-    for directory in (svc, asd):
-        directory.mkdir()
     nm = svc_wavelengths()
     grid = spectral_grid(nm.min() - _FINE_AXIS.margin_nm, nm.max() + _FINE_AXIS.margin_nm, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi

@@ -1413,18 +1413,17 @@ def paired(
         for k, reference in enumerate(references)
         if k not in paired_references
     )
-    if not matched:
-        mend = "name them with {}, or give regions a property reference"
-        distinct = list(dict.fromkeys(match.text for match in by_place.values()))
-        at = f"; by place: {'; '.join(distinct[:_MAX_LISTED_REASONS])}" if distinct else ""
-        raise SchemaError(
-            "no paint has a reference of its name or place; paints are "
-            f"{_listed([s.name for s in signatures])}, references "
-            f"{_listed([f'{reference.name} ({reference.instrument})' for reference in references])}{at}",
-            mend=mend.format("pairs={paint: reference}"),
-            option=mend.format("--pairs"),
-            code="reference-unmatched",
-        )
+    distinct = list(dict.fromkeys(match.text for match in by_place.values()))
+    at = f"; by place: {'; '.join(distinct[:_MAX_LISTED_REASONS])}" if distinct else ""
+    SchemaError.raise_if(
+        not matched,
+        "no paint has a reference of its name or place; paints are "
+        f"{_listed([s.name for s in signatures])}, references "
+        f"{_listed([f'{reference.name} ({reference.instrument})' for reference in references])}{at}",
+        mend="name them with pairs={paint: reference}, or give regions a property reference",
+        option="name them with --pairs, or give regions a property reference",
+        code="reference-unmatched",
+    )
     return matched, tuple(unpaired), unpaired_references, tuple(missing)
 
 
@@ -1449,11 +1448,11 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
                     for k in numbers
                 ]
             )
-            mend = "name one reference, or all repeated readings, with {}, or remove files"
             problems.add(
                 f"{name!r} may be any of {candidates} of {instrument}",
-                mend=mend.format("pairs={paint: reference}"),
-                option=mend.format("--pairs"),
+                mend="name one reference, or all repeated readings, with pairs={paint: reference}, or "
+                "remove files",
+                option="name one reference, or all repeated readings, with --pairs, or remove files",
                 code="reference-ambiguous",
             )
     return [k for numbers in matches.values() for k in numbers]

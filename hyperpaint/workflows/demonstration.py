@@ -274,14 +274,13 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
         mend="choose another folder",
         code="raw-data-present",
     )
-    if overwrite or (simulated and (folder / STORE).is_dir() and not foreign):
-        return
+    is_earlier = simulated and (folder / STORE).is_dir() and not foreign
     names = ", ".join(foreign[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
-    mend = "choose another folder, or pass {} to write into it"
-    raise StoreError(
+    StoreError.raise_if(
+        not (overwrite or is_earlier),
         f"{folder} is not empty ({names})",
-        mend=mend.format("overwrite=True"),
-        option=mend.format("--overwrite"),
+        mend="choose another folder, or pass overwrite=True to write into it",
+        option="choose another folder, or pass --overwrite to write into it",
         code="folder-not-empty",
     )
 

@@ -74,7 +74,6 @@ from hyperpaint.base import (
     facts_of,
     filled,
     input_path,
-    open_input,
     read_limited,
     round_bits,
     shown,
@@ -83,7 +82,7 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.dirsig.dirsig_files import read_materials
-from hyperpaint.io.files.reading import TableReader, load_tables, values
+from hyperpaint.io.files.reading import TableReader, digest_of_file, load_tables, values
 from hyperpaint.io.library import open_library
 from hyperpaint.io.skies import read_sky_csv
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
@@ -102,7 +101,7 @@ from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
 from hyperpaint.simulation.atmosphere import PRESETS, SKY, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.camera import BandSet, Camera
-from hyperpaint.simulation.collect import labelled
+from hyperpaint.simulation.collect import labelled_variable
 from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, car_park, note_car_park_faults
 from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, coat_of_gloss
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
@@ -658,9 +657,7 @@ def spectra_digest(spectra: Mapping[str, Any]) -> str:
     digest = hashlib.sha256()
     for name, value in spectra.items():
         digest.update(f"{name} ".encode())
-        if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
-            digest.update(spectra_digest(value).encode())
-        elif hasattr(value, "data_vars"):
+        if hasattr(value, "data_vars"):
             stored_names = ("signature", "wavelength", "good", *PAINT_VARIABLES)
             for variable in (variable for variable in stored_names if variable in value.variables):
                 values = np.asarray(value[variable].values)
@@ -913,11 +910,11 @@ def flight_line(
     spectrum = np.asarray(line["irradiance"][0].values)
     wavelength = line[IRRADIANCE_WAVELENGTH].variable
     line = line.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)).assign(
-        irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
-        irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
+        irradiance=labelled_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+        irradiance_max_gap=labelled_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
         look_angle=look_angle_of(parts.platform),
     )
-    coords = {IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength}
+    coords = {IRRADIANCE_TIME: labelled_variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength}
     line = line.assign_coords({**coords, **pose_of(parts.platform)})
     return line if picture is None else line.assign(overview=picture)
 
@@ -926,13 +923,13 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
     # Return the pose of the camera at mid-exposure of every line, as variables of a flight line.
     roll, pitch, heading = platform.attitude.T
     pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
-    return {name: _variable(name, values) for name, values in pose.items()}
+    return {name: labelled_variable(name, values) for name, values in pose.items()}
 
 
 def look_angle_of(platform: Platform) -> xr.Variable:
     # Return the angles of column centres from the camera's axis, positive to the right [degree].
     edges = platform.column_edges
-    return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
+    return labelled_variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
 
 def counts_of(
@@ -996,19 +993,14 @@ def counts_of(
         dark = np.asarray(dark + sd * np.random.default_rng([seed, _DARK]).standard_normal(dark.shape))
     variables = {
         "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
-        "dark_counts": _variable("dark_counts", dark),
-        "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
-        "exposure_time": _variable("exposure_time", exposure_time),
-        "saturation_count": _variable("saturation_count", detector.saturation_count),
-        "electrons_per_count": _variable("electrons_per_count", camera.electrons_per_count),
-        "read_noise": _variable("read_noise", camera.read_noise),
+        "dark_counts": labelled_variable("dark_counts", dark),
+        "radiance_gain": labelled_variable("radiance_gain", camera.radiance_gain()),
+        "exposure_time": labelled_variable("exposure_time", exposure_time),
+        "saturation_count": labelled_variable("saturation_count", detector.saturation_count),
+        "electrons_per_count": labelled_variable("electrons_per_count", camera.electrons_per_count),
+        "read_noise": labelled_variable("read_noise", camera.read_noise),
     }
     return xr.Dataset(variables)
-
-
-def _variable(name: str, values: Any) -> xr.Variable:
-
-    return labelled(VARIABLES[name], values)
 
 
 #: Group of the traced scene.
@@ -1184,16 +1176,10 @@ def run(
             overcast=parts.overcast,
             chunk_lines=CHUNK_LINES if client is None else CLUSTER_LINES,
         )
-        meshes = []
-        for mesh in file.meshes:
-            with open_input(mesh.path, "an input of a scene") as content:
-                meshes.append(
-                    [hashlib.file_digest(content, "sha256").hexdigest(), mesh.name, dict(mesh.options)]
-                )
         inputs = {
             "format": [FORMAT_VERSION, NUMERICS_VERSION],
             "scene": {**file.scene, "name": file.name},
-            "meshes": meshes,
+            "meshes": [[digest_of_file(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
             "platform": dict(file.platform),
             "sampling": dict(file.sampling),
             "suns": parts.suns,
