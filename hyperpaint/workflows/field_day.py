@@ -143,11 +143,13 @@ def write_signatures(
     )
     # check the stored flags: computed flags would need all counts
     flagged = {name for name, line in datasets.items() if is_flagged(line)}
-    lines = dict(datasets)
-    for name, line in datasets.items():
-        if "counts" in line.variables:
-            has_noise = {"electrons_per_count", "read_noise"} <= set(line.variables)
-            lines[name] = reflectance(line, uncertainty=has_noise)
+    noise = {"electrons_per_count", "read_noise"}
+    lines = {
+        name: reflectance(line, uncertainty=noise <= set(line.variables))
+        if "counts" in line.variables
+        else line
+        for name, line in datasets.items()
+    }
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         # Locate the lines, unless location does not apply

@@ -880,7 +880,4 @@ def spectrum_of(name: str) -> Spectrum:
 
 def _limited(spectrum: Spectrum) -> Spectrum:
     # limit a spectrum to 0 to 1, which straight lines exceed far from 550 nm
-    def limited(wavelength: Floats) -> Floats:
-        return np.clip(spectrum(np.asarray(wavelength, dtype=np.float64)), 0.0, 1.0)
-
-    return limited
+    return lambda wavelength: np.clip(spectrum(np.asarray(wavelength, dtype=np.float64)), 0.0, 1.0)
