@@ -253,8 +253,7 @@ def build_geometry(
     Raises
     ------
     ValueError
-        For shapes that do not fit, numbers of corners outside the vertices, and coordinates that are not
-        finite or beyond 1e9 m.
+        For coordinates that are not finite or beyond 1e9 m.
 
     Examples
     --------
@@ -267,25 +266,8 @@ def build_geometry(
     shading = np.asarray(normals, np.float64).reshape(-1, 3)
     material = np.asarray(face_material, np.int32)
     instance = np.asarray(face_instance, np.int32)
-    count, known = len(corners), len(points)
-    lowest, highest = (int(corners.min()), int(corners.max())) if count else (0, -1)
-    for is_fault, fault in (
-        (
-            material.shape != (count,) or instance.shape != (count,),
-            f"{count} faces, materials {material.shape} and instances {instance.shape}",
-        ),
-        (len(shading) not in (0, known), f"{len(shading)} normals for {known} vertices"),
-        (
-            lowest < 0 or highest >= known,
-            f"faces number corners {lowest} to {highest} of {known} vertices",
-        ),
-        (
-            not (np.abs(points) <= _MAX_COORDINATE_M).all(),
-            f"vertices must be finite and within {_MAX_COORDINATE_M:g} m",
-        ),
-    ):
-        if is_fault:
-            raise ValueError(fault)
+    if not (np.abs(points) <= _MAX_COORDINATE_M).all():
+        raise ValueError(f"vertices must be finite and within {_MAX_COORDINATE_M:g} m")
     triangles = points[corners]
     cross_products = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.sqrt((cross_products**2).sum(axis=1))

@@ -252,8 +252,6 @@ def mix(
     # ``weight``, ``index``: Weights and rows of the table, shape (line, slot, column), float32 and int32; -1
     # for an empty slot. ``table``: Spectra, shape (path, band), float32 or float64; sums are float32.
     # ``out``: Output, shape (line, band, column), float32.
-    #
-    # Raises `ValueError`: For shapes that do not fit, and rows outside the table.
     columns = out.shape[2]
     mix_shifted(weight, index, np.asarray(table)[None], np.zeros(columns, int), np.ones((columns, 1)), out)
 
@@ -273,45 +271,13 @@ def mix_shifted(
     # (node, path, band). ``node``: Number of the first node used by a column, shape (column,), integers.
     # ``node_weight``: Weights of the nodes from the first, shape (column, 4 or fewer). ``texture``: Members
     # shown by pixels instead of the mean; None for the means.
-    #
-    # Raises `ValueError`: For shapes that do not fit, and rows or nodes outside the table.
     spectra = np.ascontiguousarray(table, np.float32)
-    (lines, _, columns), bands, shape = weight.shape, out.shape[1], spectra.shape[1:]
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
     first_node, share = np.ascontiguousarray(node, np.int64), np.ascontiguousarray(node_weight, np.float32)
     if texture is None:
-        row, empty = np.full((len(out), columns), -1, np.int32), np.zeros(0, np.int64)
+        lines, bands, columns = out.shape
+        row, empty = np.full((lines, columns), -1, np.int32), np.zeros(0, np.int64)
         texture = Texture(row, empty, np.zeros((0, bands), np.float32), empty[:, None])
-    last_node = int(first_node.max(initial=-1)) + (share.shape[1] if share.ndim == 2 else 0)
-    # refuse shapes with which the loops would exceed their arrays
-    for is_fault, fault in (
-        (
-            index.shape != weight.shape or out.shape != (lines, shape[1], columns),
-            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit",
-        ),
-        (
-            out.dtype != np.float32 or not out.flags.c_contiguous,
-            f"out must be contiguous float32, not {out.dtype}",
-        ),
-        (
-            rows.max(initial=-1) >= shape[0],
-            f"index {rows.max(initial=-1)} is outside a table of {shape[0]} spectra",
-        ),
-        (
-            first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns,
-            f"nodes {first_node.shape} and weights {share.shape} for {columns} columns",
-        ),
-        (
-            columns and not (first_node.min(initial=0) >= 0 and last_node <= len(spectra)),
-            f"columns need nodes up to {last_node - 1}, the table has {len(spectra)}",
-        ),
-        (
-            texture.row.shape != (len(out), columns) or texture.ratio.shape[1] != bands,
-            f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}",
-        ),
-    ):
-        if is_fault:
-            raise ValueError(fault)
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
     _mix_shifted(weights, rows, spectra, first_node, share, texture, sums, out)
 

@@ -40,11 +40,9 @@ from .path_codes import (
     FIRST_DIGIT,
     FIRST_SUN,
     INDIRECT,
-    MAX_SUNS,
     MIRROR,
     OVERCAST_SKY,
     SKY,
-    USABLE_BITS,
     even_pair,
     pixel_key,
     place_of,
@@ -118,7 +116,18 @@ class Block(NamedTuple):
         >>> Block.empty(2, 48, 640, 1).weight.shape
         (2, 48, 640)
         """
-        return cls(*(np.empty(shape, kind) for shape, kind in _layout(lines, slots, columns, suns)))
+        by_pixel, by_slot, by_sun = (lines, columns), (lines, slots, columns), (lines, suns, columns)
+        return cls(
+            weight=np.empty(by_slot, np.float32),
+            code=np.empty(by_slot, np.int64),
+            material=np.empty(by_pixel, np.int32),
+            instance=np.empty(by_pixel, np.int32),
+            purity=np.empty(by_pixel, np.float32),
+            distance=np.empty(by_pixel, np.float32),
+            position=np.empty((lines, 3, columns)),
+            sun_visibility=np.empty(by_sun, np.float32),
+            incidence=np.empty(by_sun, np.float32),
+        )
 
 
 # Plain numbers of a trace
@@ -129,101 +138,6 @@ class Settings(NamedTuple):
     depth: int  # maximum number of scatterings
     digit_bits: int  # bits of a factor in a code
     seed: int  # non-negative integer
-
-
-def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
-    by_pixel, by_slot, by_sun = (lines, columns), (lines, slots, columns), (lines, suns, columns)
-    return [
-        (by_slot, np.float32),
-        (by_slot, np.int64),
-        (by_pixel, np.int32),
-        (by_pixel, np.int32),
-        (by_pixel, np.float32),
-        (by_pixel, np.float32),
-        ((lines, 3, columns), np.float64),
-        (by_sun, np.float32),
-        (by_sun, np.float32),
-    ]
-
-
-def check(
-    geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
-) -> None:
-    # Refuse inputs that compiled loops cannot handle.
-    #
-    # Raises `ValueError`: Inputs are inconsistent; the message lists all faults.
-    first_line, samples, depth, digit_bits, seed = settings
-    lines, columns, suns = len(rays.origin), len(rays.column_edges) - 1, len(sources.suns)
-    numbers, factor_numbers = surfaces[0], surfaces[1:]
-    shares, factors = numbers[:, 1:6], int(max(part.max(initial=-1) for part in factor_numbers)) + 1
-    has_suns = (
-        suns <= MAX_SUNS and np.shape(sources.sun_radius) == (suns,) and np.shape(sources.suns) == (suns, 3)
-    )
-    material, known = geometry.face_material, len(surfaces.base_factor)
-    lowest, highest = (int(material.min()), int(material.max())) if material.size else (0, -1)
-    rows = [
-        (
-            FIRST_DIGIT + depth * digit_bits > USABLE_BITS,
-            f"{depth} factors of {digit_bits} bits do not fit a code of {USABLE_BITS} bits",
-        ),
-        (
-            min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0,
-            "samples, depth and digit_bits must be positive, seed and first_line not negative",
-        ),
-        (
-            seed >= 2**63 or max(first_line + lines, samples) > 2**32,
-            "seed must fit 63 bits, the numbers of lines and samples 32",
-        ),
-        (
-            not has_suns,
-            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}",
-        ),
-        (
-            np.size(sources.skies)
-            and (
-                np.shape(sources.skies)[:2] != (suns, CLEAR_SKY_FUNCTIONS)
-                or min(np.shape(sources.skies)[2:]) < 2
-            ),
-            f"skies {np.shape(sources.skies)} for {suns} suns",
-        ),
-        (
-            has_suns and not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6),
-            "directions to suns must be unit vectors",
-        ),
-        (len({len(array) for array in surfaces}) > 1, "surfaces have parts of unequal length"),
-        (
-            not np.isfinite(numbers[:, 0]).all()
-            or not ((shares >= 0) & (shares <= 1)).all()
-            or not (shares[:, 4] > 0).all(),
-            "refractive indices must be finite, roughness, slopes and shares from 0 to 1",
-        ),
-        (factors >= 1 << digit_bits, f"{factors} factors need more than {digit_bits} bits"),
-        (surfaces.base_factor.min(initial=0) < 0, "every surface needs a base factor"),
-        (geometry.face_instance.min(initial=0) < 0, "instances must not be negative: -1 is the sky"),
-        (
-            lowest < 0 or highest >= known,
-            f"faces name materials {lowest} to {highest} of {known}",
-        ),
-        (
-            rays.origin.shape != (lines, 2, 3) or rays.rotation.shape != (lines, 2, 3, 3),
-            f"origins {rays.origin.shape} and rotations {rays.rotation.shape} do not fit",
-        ),
-        (
-            not all(np.isfinite(array).all() for array in rays),
-            "positions, rotations and edges of the camera must be finite",
-        ),
-        *(
-            (
-                array.shape != shape or array.dtype != kind or not array.flags.c_contiguous,
-                f"block.{name} must be contiguous {shape} {kind.__name__}, not {array.shape} {array.dtype}",
-            )
-            for name, array, (shape, kind) in zip(
-                block._fields, block, _layout(lines, block.weight.shape[1], columns, suns), strict=True
-            )
-        ),
-    ]
-    if any(is_fault for is_fault, _ in rows):
-        raise ValueError("; ".join(fault for is_fault, fault in rows if is_fault))
 
 
 # Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
@@ -438,7 +352,8 @@ def trace_lines(
     # ``geometry``, ``surfaces``, ``sources``: The scene and its light. ``rays``: Rays of the lines of this
     # block. ``settings``: Settings of the trace. ``block``: Output.
     #
-    # Raises `ValueError`: Codes exceed 63 bits, there are more than six suns, or numbers are invalid.
+    # Nothing is checked here: `Scene`, `Platform`, `TraceSettings` and `PathCodes` refuse all that the loops
+    # cannot handle.
     #
     # At every hit a shadow ray goes to every sun; escaping paths meet the sky. At the first hit both the coat
     # and the layers under it are followed; later a single lobe: the coat with a probability that grows with
@@ -467,7 +382,6 @@ def trace_lines(
     # behind. Suns light both sides; both sides are followed from the first surface, and later one of them at
     # random.
     settings = Settings(*map(int, settings))
-    check(geometry, surfaces, sources, rays, settings, block)
     suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
     numbers, *factors = surfaces
     surfaces = Surfaces(

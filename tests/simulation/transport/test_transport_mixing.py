@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from support.refusals import expect_error, expect_errors
 from support.transport_scenes import COMPILED
 
 from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
@@ -64,38 +63,3 @@ def test_codes_are_numbered_as_numpy_does() -> None:
         assert index.shape == code.shape
         np.testing.assert_array_equal(index < 0, code < 0)
         np.testing.assert_array_equal(distinct[index[index >= 0]], code[code >= 0])
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"index": np.full((1, 2, 3), 9, np.int32)}, "outside a table of 5"),
-        ({"index": np.zeros((1, 2, 4), np.int32)}, "do not fit"),
-        ({"out": np.empty((1, 8, 3), np.float32)}, "do not fit"),
-        ({"out": np.empty((1, 4, 3))}, "contiguous float32"),
-        ({"out": np.empty((1, 4, 6), np.float32)[:, :, ::2]}, "contiguous"),
-    ],
-)
-def test_what_does_not_fit_is_refused(change: dict, words: str) -> None:
-    given = {
-        "weight": np.ones((1, 2, 3), np.float32), "index": np.zeros((1, 2, 3), np.int32),
-        "table": np.ones((5, 4), np.float32), "out": np.empty((1, 4, 3), np.float32),
-    } | change  # fmt: skip
-    expect_error(ValueError, words, lambda: mix(**given))
-
-
-def test_nodes_outside_the_table_are_refused() -> None:
-    weight, index = np.ones((1, 1, 2), np.float32), np.zeros((1, 1, 2), np.int32)
-    table, out = np.ones((4, 1, 3)), np.empty((1, 3, 2), np.float32)
-    expect_errors(
-        (
-            ValueError,
-            "nodes up to 4",
-            lambda: mix_shifted(weight, index, table, np.array([0, 1]), np.ones((2, 4)), out),
-        ),
-        (
-            ValueError,
-            "for 2 columns",
-            lambda: mix_shifted(weight, index, table, np.array([0]), np.ones((2, 4)), out),
-        ),
-    )

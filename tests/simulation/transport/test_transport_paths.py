@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from support.refusals import expect_error, expect_errors
 from support.transport_scenes import (
     COMPILED,
     QUAD,
@@ -31,9 +30,7 @@ from hyperpaint.simulation.transport.paths import (
     Block,
     PathTable,
     Rays,
-    Settings,
     add_path,
-    trace_lines,
     with_factor,
     write_paths,
 )
@@ -262,52 +259,6 @@ def test_white_grooves_lose_nothing_but_the_last_bounce() -> None:
     np.testing.assert_allclose(deep.weight.sum(axis=1), 1, rtol=1e-6)
     shallow = traced(joined(left, right), materials(None), suns(), rays, depth=2, digit_bits=1, samples=64)
     assert (shallow.weight.sum(axis=1) < 1).any()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"depth": 15}, "do not fit a code"),
-        ({"digit_bits": 1}, "need more than 1 bits"),
-        ({"samples": 0}, "must be positive"),
-        ({"seed": -1}, "not negative"),
-        ({"seed": 2**63}, "fit 63 bits"),
-        ({"first_line": -1}, "not negative"),
-        ({"first_line": 2**32}, "lines and samples 32"),
-        ({"sources": suns(*[sun(10)] * 7)}, "at most 6"),
-        ({"sources": suns(2 * sun(10))}, "unit vectors"),
-        ({"surfaces": materials((1.5, np.nan), None)}, "from 0 to 1"),
-        ({"surfaces": materials((np.inf, 0.1), None)}, "must be finite"),
-        ({"surfaces": materials((1.5, 0.1), None, flakes=1.5)}, "from 0 to 1"),
-        ({"surfaces": materials(None, None)._replace(numbers=materials(None).numbers)}, "unequal length"),
-        ({"surfaces": materials(None, None)._replace(base_factor=np.array([0, -1]))}, "a base factor"),
-    ],
-)
-def test_what_loops_would_run_wild_on_is_refused(change: dict, words: str) -> None:
-    given = {
-        "geometry": joined((ground(), QUAD, 1)), "surfaces": materials(None, None), "sources": suns(),
-        "rays": nadir(1, 2, width=1.0),
-    } | change  # fmt: skip
-    expect_error(ValueError, words, lambda: traced(**given))
-
-
-def test_all_faults_are_told_at_once() -> None:
-    rays = nadir(1, 2, width=1.0)
-    rays.origin[:] = np.nan
-    expect_errors(
-        (
-            ValueError,
-            r"finite.*block.weight",
-            lambda: trace_lines(
-                joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), Block.empty(1, 4, 3, 0)
-            ),
-        ),
-        (
-            ValueError,
-            "materials 3 to 3 of 1",
-            lambda: traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0)),
-        ),
-    )
 
 
 #: Known answers of the authors' library Random123 1.09, kat_vectors, "philox4x32 10".
