@@ -382,21 +382,10 @@ def trace_lines(
     # behind. Suns light both sides; both sides are followed from the first surface, and later one of them at
     # random.
     settings = Settings(*map(int, settings))
-    suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
-    numbers, *factors = surfaces
-    surfaces = Surfaces(
-        np.ascontiguousarray(numbers, np.float64),
-        *(np.ascontiguousarray(array, np.int32) for array in factors),
-    )
-    sources = Sources(
-        suns,
-        np.ascontiguousarray(sources.sun_radius, np.float64),
-        bool(sources.overcast),
-        np.ascontiguousarray(sources.skies, np.float64),
-    )
     rays = Rays(*(np.ascontiguousarray(array, np.float64) for array in rays))
-    sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * len(suns))  # both branches may end in the sky
-    max_codes = settings.samples * ((2 * settings.depth - 1) * len(suns) * _LOBES + sky_codes)
+    suns = len(sources.suns)
+    sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # both branches may end in the sky
+    max_codes = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + sky_codes)
     size = 1 << max(4, (2 * max_codes - 1).bit_length())
     room = _Workspace(
         stack=np.empty(STACK, np.int64),
@@ -404,7 +393,7 @@ def trace_lines(
         table=PathTable(
             np.full(size, -1), np.zeros(size), np.empty(max_codes, np.int64), np.zeros(1, np.int64)
         ),
-        first_hits=np.zeros(5 + 2 * len(suns)),
+        first_hits=np.zeros(5 + 2 * suns),
     )
     votes = np.empty((2, settings.samples), np.int64)
     _trace(_Scene(geometry, surfaces, sources), rays, settings, room, votes, block)
