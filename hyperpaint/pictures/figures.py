@@ -242,14 +242,6 @@ class Orientation:
     aspect: float  # length of a pixel along the vertical axis over its length along the horizontal axis
     labels: tuple[str, str]  # of the horizontal and of the vertical axis
 
-    @property
-    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        # Limits of the horizontal axis from left to right, and of the vertical axis upwards
-        left, right, *vertical = self.extent
-        horizontal = (right, left) if self.is_mirrored else (left, right)
-        minimum, maximum = sorted(vertical)
-        return horizontal, (maximum, minimum) if self.goes_down else (minimum, maximum)
-
     def height_of(self, width: float) -> float:
         # Return the height of a picture of a given width
         left, right, first_line, last_line = self.extent
@@ -347,8 +339,14 @@ def show_picture(axes: Any, picture: Array, orientation: Orientation, **options:
         interpolation="nearest",
         **options,
     )
-    horizontal, vertical = orientation.limits
-    axes.set(xlim=horizontal, ylim=vertical, xlabel=orientation.labels[0], ylabel=orientation.labels[1])
+    # columns to the right of the flight are on the right, and the vertical axis grows upwards or downwards
+    left, right, *vertical = orientation.extent
+    axes.set(
+        xlim=(right, left) if orientation.is_mirrored else (left, right),
+        ylim=sorted(vertical, reverse=orientation.goes_down),
+        xlabel=orientation.labels[0],
+        ylabel=orientation.labels[1],
+    )
     axes.ticklabel_format(useOffset=False, style="plain")
     axes.tick_params(labelsize="small")
     axes.locator_params(axis="x", nbins=4)  # easting has six digits

@@ -17,6 +17,7 @@ from hyperpaint.base import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     TIME_UNITS,
+    listed,
     schema,
 )
 from hyperpaint.io.maps.map_grids import Grid, grid_of
@@ -334,9 +335,8 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
 
 def _library(library: xr.Dataset) -> Facts:
     paints = [str(name) for name in library[schema.SIGNATURE].values]
-    ending = f" and {len(paints) - _MAX_NAMES} more" if len(paints) > _MAX_NAMES else ""
     yield from (
-        ("paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{ending}"),
+        ("paints", f"{counted(len(paints), 'paint')}: {listed(paints, _MAX_NAMES)}"),
         ("reflectance", form_of(library["reflectance"])),
         *facts_of_bands(library),
     )

@@ -1125,15 +1125,14 @@ class Atmosphere:
             float(convert(dataset[name], units)) for name, (units, _) in _NUMBERS.items()
         )
         grid = convert(dataset["wavelength"].reset_coords(drop=True), "nm").values
-        try:
-            text = dataset.attrs.get("haze", "")
+        text = dataset.attrs.get("haze", "")
+        with SchemaError.instead_of(
+            (ValueError, TypeError),
+            f"attribute 'haze' is {text!r}",
+            expected="the JSON text that to_dataset writes",
+            code="metadata-damaged",
+        ):
             haze = Haze(**json.loads(text)) if text else None
-        except (ValueError, TypeError) as error:
-            raise SchemaError(
-                f"attribute 'haze' is {text!r}",
-                expected="the JSON text that to_dataset writes",
-                code="metadata-damaged",
-            ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, shares)
 

@@ -316,12 +316,10 @@ class Sweep:
     def beam(self) -> Floats:
         # power of the beam in a column relative to the brightest column, shape (step, cross_track)
         settings, columns = self.settings, self.settings.camera.columns
-        if settings.beam_fwhm_columns is None:
-            return np.ones((settings.steps, columns))
         centre = columns // 2 + settings.beam_wander_columns * np.sin(
             np.linspace(0.0, 2 * np.pi, settings.steps)
         )
-        offset = (np.arange(columns) - centre[:, None]) / settings.beam_fwhm_columns
+        offset = (np.arange(columns) - centre[:, None]) / (settings.beam_fwhm_columns or np.inf)
         return np.asarray(np.exp(-4.0 * np.log(2.0) * offset**2))
 
     @cached_property
@@ -531,9 +529,8 @@ def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) ->
 
 def _consolidate(path: Path) -> None:
     # consolidate metadata, which `xarray.open_zarr` reads first
-    with warnings.catch_warnings():
-        # zarr warns that the specification of version 3 does not have consolidated metadata
-        warnings.simplefilter("ignore")
+    # zarr warns that the specification of version 3 does not have consolidated metadata
+    with warnings.catch_warnings(action="ignore"):
         zarr.consolidate_metadata(path)
 
 

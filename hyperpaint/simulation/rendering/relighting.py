@@ -1186,20 +1186,16 @@ def relight(
     curves = np.stack([cell_means(wavelength, curve, grid) for curve in (direct, sky.sky)])
     channel_spectra = convolve_gaussian(curves, grid, centres, _FWHM_NM)
     # times before and after the flight; with varying light also times during the flight
-    try:
+    with SchemaError.instead_of(
+        (KeyError, ValueError, TypeError),
+        "not a traced dataset: time_coverage_start or _end: $whole",
+        mend="pass a dataset from hyperpaint.simulation.trace",
+        code="metadata-damaged",
+    ):
         start, end = (np.datetime64(traced.attrs[f"time_coverage_{name}"], "ns") for name in ("start", "end"))
-    except (KeyError, ValueError, TypeError) as error:
-        raise SchemaError(
-            f"not a traced dataset: time_coverage_start or _end: {error}",
-            mend="pass a dataset from hyperpaint.simulation.trace",
-            code="metadata-damaged",
-        ) from error
-    during = np.empty(0, "datetime64[ns]")
-    moving_lines = 0 if variation is None else traced.sizes[ALONG_TRACK]
-    if moving_lines:
-        span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
-        steps = np.linspace(0, span, min(max(moving_lines, 2), _RECORD.max_times)).astype(np.int64)
-        during = start + np.unique(steps).astype("timedelta64[ns]")
+    count = 0 if variation is None or not lines else min(max(lines, 2), _RECORD.max_times)
+    span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
+    during = start + np.unique(np.linspace(0, span, count).astype(np.int64)).astype("timedelta64[ns]")
     times = np.concatenate([[start - _MARGIN], during, [end + _MARGIN]]).astype("datetime64[ns]")
     values: Any = np.broadcast_to(channel_spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
     if isinstance(variation, BrokenClouds):
@@ -1220,7 +1216,6 @@ def relight(
     }
     labelled = {name: (*value, VARIABLES[name].attrs) for name, value in arrays.items()}
     coords = {name: labelled.pop(name) for name in (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)}
-    series = xr.Dataset(labelled, coords, {"irradiance_srf_shape": "gaussian"})
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -1228,9 +1223,9 @@ def relight(
         "materials": traced.attrs["materials"],
         "instances": traced.attrs["instances"],
         "srf_shape": camera.shape,
-        **series.attrs,
+        "irradiance_srf_shape": "gaussian",
     }
-    return line.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
+    return line.assign_coords(coords).assign(labelled).assign_attrs(attrs)
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
@@ -1321,9 +1316,7 @@ def _dataset(
     line = xr.Dataset(variables, {n: (*value, VARIABLES[n].attrs) for n, value in coords.items()})
     if "time" in traced.variables:
         line = line.assign_coords(time=traced["time"].variable)
-    for name in _UNLIT_LAYERS:
-        if name in traced.variables:
-            line[name] = traced[name].variable
+    line = line.assign({name: traced[name].variable for name in _UNLIT_LAYERS if name in traced.variables})
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
             paints.table.__getitem__,
@@ -1356,15 +1349,15 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
     )
     nearest = int(angles.argmin())
     has_clear_sky = bool((atmosphere.sky * atmosphere.clear_shares).any())
-    if angles[nearest] > _RECORD.max_sun_angle_deg and (atmosphere.sun.any() or has_clear_sky):
-        traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
-        raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
-            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
-            expected=f"a traced sun: {traced_directions}",
-            mend="trace the scene with this sun as well",
-            code="sun-not-traced",
-        )
+    traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
+    SchemaError.raise_if(
+        angles[nearest] > _RECORD.max_sun_angle_deg and (atmosphere.sun.any() or has_clear_sky),
+        f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
+        f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
+        expected=f"a traced sun: {traced_directions}",
+        mend="trace the scene with this sun as well",
+        code="sun-not-traced",
+    )
     SchemaError.raise_if(
         atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast,
         f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
