@@ -177,7 +177,7 @@ def _stopped_by_signals() -> Iterator[None]:
 def _short_warnings() -> Iterator[None]:
     # show every warning once, without file and line
     shown_messages: set[str] = set()
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="always", category=PaintWarning):
         default_show = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *location: Any, **options: Any) -> None:
@@ -188,7 +188,6 @@ def _short_warnings() -> Iterator[None]:
                 click.echo(f"warning: {message}", err=True)
 
         warnings.showwarning = show
-        warnings.simplefilter("always", PaintWarning)
         yield
 
 

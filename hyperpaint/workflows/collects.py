@@ -254,8 +254,7 @@ def check_collect(path: str | os.PathLike[str], *, passed: bool = False) -> tupl
     needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
     texts: tuple[str, ...] = ()
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             opened = opened_collect(path, need_irradiance=needs_irradiance)
         findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
         texts = tuple(finding.found for finding in findings if finding.line == RECORD)
@@ -278,8 +277,7 @@ def _panel_findings(line: xr.Dataset) -> Iterator[Finding]:
     # Measure the panels that a line declares; processing refuses or warns of the same.
     name = str(line.attrs["name"])
     for panel in declared_panels(line) if "wavelength" in line.coords else ():
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", PaintWarning)
+        with warnings.catch_warnings(record=True, action="always", category=PaintWarning) as caught:
             closure = panel_closure(line, panel).compute()
         factor = float(closure["panel_factor"].median())
         texts = [

@@ -250,13 +250,13 @@ def _propose(
         for region in proposals.refused
         for across, along in [region.polygon.mean(axis=0)]
     ]
-    if not len(regions):
-        listed = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
-        raise SchemaError(
-            f"no region can be proposed, {len(refused)} were rejected{listed}",
-            mend="draw regions",
-            code="proposals-empty",
-        )
+    listed = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
+    SchemaError.raise_if(
+        not len(regions),
+        f"no region can be proposed, {len(refused)} were rejected{listed}",
+        mend="draw regions",
+        code="proposals-empty",
+    )
     return regions, refused
 
 

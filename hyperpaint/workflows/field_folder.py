@@ -29,6 +29,7 @@ from hyperpaint.base import (
     Problems,
     StoreError,
     documented,
+    grouped,
     input_path,
     key_line,
     read_limited,
@@ -230,11 +231,12 @@ def find_field_files(
             mend="check the path",
             code="file-not-found",
         )
-        of_place: dict[Path, list[Path]] = {}
-        for path in _walk(place) if place.is_dir() else [place]:
-            in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
-            if in_folder or place.is_file() or path.suffix.lower() in SPECTRUM_SUFFIXES:
-                of_place.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
+        by_pattern = {".asd", ".sig"} if place.is_dir() else set()
+        of_place = grouped(
+            (path.parent / f"*{path.suffix}" if path.suffix.lower() in by_pattern else path, path)
+            for path in (_walk(place) if place.is_dir() else [place])
+            if place.is_file() or path.suffix.lower() in {*by_pattern, *SPECTRUM_SUFFIXES}
+        )
         CollectError.raise_if(
             not of_place,
             f"references {place}: no spectra in this folder",

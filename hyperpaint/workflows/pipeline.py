@@ -1116,18 +1116,18 @@ def _cubes(opened: OpenedCollect, lines: Mapping[str, xr.Dataset]) -> dict[str, 
         with problems.noting((FormatError, StoreError), f"/{name}"):
             arrays = []
             for entry in map(entries.__getitem__, opened.members[name]):
-                with warnings.catch_warnings():  # already given when the collect was opened
-                    warnings.simplefilter("ignore", PaintWarning)
+                # already given when the collect was opened
+                with warnings.catch_warnings(action="ignore", category=PaintWarning):
                     dataset = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
                 lazy: Any = next(iter(dataset.data_vars.values())).variable._data
                 array = lazy.array
-                if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
-                    raise FormatError(
-                        f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
-                        expected="raw counts, uint16 (ENVI data type 12)",
-                        mend="process the collect instead",
-                        code="counts-not-raw",
-                    )
+                FormatError.raise_if(
+                    not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16,
+                    f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
+                    expected="raw counts, uint16 (ENVI data type 12)",
+                    mend="process the collect instead",
+                    code="counts-not-raw",
+                )
                 arrays.append(array)
             urls = (url_of(array.path) or f"file://{os.path.realpath(array.path)}" for array in arrays)
             files = tuple(map(RawFile.of, urls))

@@ -489,9 +489,8 @@ def _by_trimesh(data: bytes, where: str) -> RawTriangles:
         FormatError.instead_of(
             Exception, f"{where}: trimesh cannot read it ($kind: $whole)", code="mesh-unreadable"
         ),
-        warnings.catch_warnings(),
+        warnings.catch_warnings(action="ignore"),  # numpy warns of trimesh's parsers
     ):
-        warnings.simplefilter("ignore")  # numpy warns of trimesh's parsers
         options = {"skip_materials": True} if kind == "ply" else {}
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
     vertices, faces, face_group = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]

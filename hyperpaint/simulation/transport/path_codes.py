@@ -101,13 +101,13 @@ class PathCodes:
             depth < 1, f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range"
         )
         bits = max(factors, 1).bit_length()
-        if FIRST_DIGIT + depth * bits > USABLE_BITS:
-            max_depth = (USABLE_BITS - FIRST_DIGIT) // bits
-            raise SchemaError(
-                f"{factors} spectra and depth={depth} do not fit into the code of a path",
-                mend=f"take depth={max_depth} or less, or fewer materials (twice counted with flakes)",
-                code="path-code-too-long",
-            )
+        max_depth = (USABLE_BITS - FIRST_DIGIT) // bits
+        SchemaError.raise_if(
+            depth > max_depth,
+            f"{factors} spectra and depth={depth} do not fit into the code of a path",
+            mend=f"take depth={max_depth} or less, or fewer materials (twice counted with flakes)",
+            code="path-code-too-long",
+        )
         return cls(depth, bits)
 
     def factors(self, codes: Ints) -> Ints:
