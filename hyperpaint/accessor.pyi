@@ -211,6 +211,7 @@ class PaintAccessor:
         shadow: float = 0.2,
         adjacency: float = 0.01,
         edge: int = 1,
+        where: Any = None,
         progress: Progress | bool | None = None,
         dims: Dims | None = None,
         **options: Any,

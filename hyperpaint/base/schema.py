@@ -866,6 +866,31 @@ def refuse_other_labels(
         )
 
 
+def pixel_mask(mask: Any, line: xr.Dataset, name: str) -> Any:
+    # Return an argument that selects pixels as a bool array (line, column) of the line, lazy where it is.
+    if hasattr(mask, "dims"):
+        labelled = rename_to_roles(mask.to_dataset(name="mask"))["mask"]
+        SchemaError.raise_if(
+            set(labelled.dims) != set(_PIXEL),
+            f"{name} has dims {mask.dims}",
+            expected="lines and columns",
+            code="dims-wrong",
+        )
+        refuse_other_labels(labelled, line, name)
+        mask = labelled.transpose(*_PIXEL).data
+    mask, shape = (
+        mask if hasattr(mask, "dtype") else np.asarray(mask),
+        tuple(line.sizes[dim] for dim in _PIXEL),
+    )
+    SchemaError.raise_if(
+        mask.shape != shape or mask.dtype != bool,
+        f"{name} is {mask.dtype} of shape {mask.shape}",
+        expected=f"bool of shape {shape}",
+        code="grid-mismatch",
+    )
+    return mask
+
+
 def with_steps(sweep: xr.Dataset) -> xr.Dataset:
     # Return a lab sweep whose dim ``step`` replaces a dim of its wavelengths, as of ``swap_dims``.
     is_swapped = STEP not in sweep.dims and "step_wavelength" in sweep.dims

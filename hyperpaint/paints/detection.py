@@ -660,24 +660,7 @@ def _background_mask(background: Any, unflagged: Any, line: xr.Dataset) -> Any:
     # The argument `background` as a mask with the chunks of `unflagged`
     if not hasattr(background, "dtype") and not isinstance(background, list | tuple):
         background = region_mask(background, line) >= 0
-    if hasattr(background, "dims"):
-        mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
-        SchemaError.raise_if(
-            set(mask.dims) != {ALONG_TRACK, CROSS_TRACK},
-            f"background= has dims {background.dims}",
-            expected="lines and columns",
-            code="dims-wrong",
-        )
-        schema.refuse_other_labels(mask, line, "background=")
-        background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
-    mask = da.asarray(background)
-    SchemaError.raise_if(
-        mask.shape != unflagged.shape or mask.dtype != bool,
-        f"background= is {mask.dtype} of shape {mask.shape}",
-        expected=f"bool of shape {unflagged.shape}",
-        code="grid-mismatch",
-    )
-    return mask.rechunk(unflagged.chunks)
+    return da.asarray(schema.pixel_mask(background, line, "background=")).rechunk(unflagged.chunks)
 
 
 def _lazy_detector(

@@ -22,7 +22,6 @@ import xarray as xr
 from scipy.ndimage import (
     binary_closing,
     binary_opening,
-    distance_transform_edt,
     find_objects,
     label,
     map_coordinates,
@@ -56,7 +55,6 @@ from hyperpaint.base import (
 from hyperpaint.geometry import locate
 from hyperpaint.geometry.georeference.locating import between_maps, crs_of
 from hyperpaint.geometry.georeference.viewing import pixel_view
-from hyperpaint.kernels.segmentation import squared_depth
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.light.sun import diffuse_fraction, solar_position
@@ -74,13 +72,14 @@ from hyperpaint.surroundings.corrections import (
 )
 from hyperpaint.surroundings.model import SHADED
 from hyperpaint.surroundings.scratch import line_blocks, release, scratch_array, trim_memory
-from hyperpaint.surroundings.segments import padded
+from hyperpaint.surroundings.segments import depth_of, padded
 from hyperpaint.surroundings.surveying import (
     FLAG_LIMITS,
     flag_channels,
     is_vegetation,
     model_of,
     read_channels,
+    within,
 )
 
 from .polygons import (
@@ -969,7 +968,7 @@ def _car_area(
     # the first component of the background is outside; others are holes
     outside, _ = label(np.pad(~closed[window], 1, constant_values=True))
     filled = (outside != 1)[1:-1, 1:-1]
-    depth = _depth(filled)
+    depth = depth_of(filled)
     # the depth at the seed counts: a wall that the car touches may be wider
     min_depth = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > min_depth, square)
@@ -990,7 +989,7 @@ def _car_area(
     while candidates:
         if not gaps:
             gap_of, others = np.full(count + 1, np.inf), cores > 0
-            np.minimum.at(gap_of, cores[others], _depth(~car_cores)[others])
+            np.minimum.at(gap_of, cores[others], depth_of(~car_cores)[others])
             gaps = {core: float(gap_of[core]) for core in candidates}
         nearest = min(candidates, key=lambda core: (gaps[core], core))
         candidates.remove(nearest)
@@ -1007,13 +1006,6 @@ def _car_area(
     whole = np.zeros(shape, bool)
     whole[window] = area
     return whole, False
-
-
-def _depth(mask: Bools) -> Floats:
-    # Distance [pixel] of the pixels of a mask from the nearest pixel outside it
-    squared = np.empty(mask.shape, np.int64)
-    squared_depth(mask, squared)
-    return np.sqrt(squared)
 
 
 def _squares(mask: Bools, px: int, *, grow: bool) -> Bools:
@@ -1984,7 +1976,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     # Its pixels are away from other colours. Pixels brighter than the car's other paint count as paint: they
     # lie in the lobe of flakes, or in glint.
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
-    inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > limits["erode"])
+    inside = roof.inside & (depth_of(np.pad(paint, 1))[1:-1, 1:-1] > limits["erode"])
     segment = picture.model.segment[footprint.window][inside]
     bodies = picture.model.body[segment[segment >= 0]]
     if not bodies.size:
@@ -2492,7 +2484,7 @@ def _add_flags(picture: Picture, pieces: list[Piece], cars: list[Car]) -> None:
     ]
     for origin, inside in (*((piece.origin, piece.inside) for piece in pieces), *roofs):
         judged[window_of(origin, inside)] |= inside
-    model = replace(picture.model, segment=np.where(judged, picture.model.segment, np.int32(-1)))
+    model = within(picture.model, judged)
     layers = {name: scratch_array(judged.shape, np.float32) for name in _LAYERS[:3]}
     for lines, block in line_blocks(picture.channels):
         # thresholds are for bits of quality, which are those of the line

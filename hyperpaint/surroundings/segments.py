@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from scipy.ndimage import distance_transform_edt, find_objects, label
+from scipy.ndimage import find_objects, label
 
 from hyperpaint.base import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.kernels import arguments, segmentation as kernels
@@ -18,6 +18,7 @@ from hyperpaint.kernels.segmentation import (
     pick_steps,
     sample_places,
     sort_steps,
+    squared_depth,
 )
 from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
@@ -686,14 +687,21 @@ def _in_larger_window(
     return inside
 
 
+def depth_of(mask: Bools) -> Floats:
+    # Return the distance of every pixel of a mask from the nearest pixel outside it [pixel].
+    squared = np.empty(mask.shape, np.int64)
+    squared_depth(mask, squared)
+    return np.sqrt(squared)
+
+
 def _distance(mask: Bools) -> Floats:
     # Distance of every pixel from the nearest pixel of a mask [pixel]
-    return np.asarray(distance_transform_edt(~mask))
+    return depth_of(~mask)
 
 
 def _half_width(core: Bools) -> float:
     # Maximum distance of a pixel of a core from the core's outside [pixel]
-    return float(_distance(~np.pad(core, 1)).max())
+    return float(depth_of(np.pad(core, 1)).max())
 
 
 def _add_sharp(

@@ -6,7 +6,7 @@ of sun and sky, plus mirrored sun and sky and the light of coloured neighbours.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -1158,6 +1158,7 @@ def flag(
     shadow: float = 0.2,
     adjacency: float = 0.01,
     edge: int = 1,
+    where: Any = None,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -1181,6 +1182,9 @@ def flag(
         ``adjacency`` above which a pixel is lit by a coloured neighbour [1].
     edge
         Distance from a boundary up to which a pixel is mixed [pixel], 0 for pixels in between only.
+    where
+        Pixels to search, bool (along_track, cross_track); others get no flags. For signatures of few regions,
+        ``hyperpaint.regions.region_mask(regions, line) >= 0`` saves most of the time. By default all pixels.
     progress
     **options
         Options of `hyperpaint.surroundings.survey`, used without ``model``.
@@ -1269,12 +1273,15 @@ def flag(
     if model is None:
         model = survey(line, progress=progress, **options)
     scene = model_of(line, model)
+    searched = dask.delayed(scene, traverse=False, pure=False)
+    if where is not None:
+        searched = dask.delayed(within)(searched, schema.pixel_mask(where, line, "where="))
     # Flags, computed by blocks of lines when asked for
     data = line_chunked(cube).data
     blocks = da.map_blocks(
         _flag_block,
         data,
-        dask.delayed(scene, traverse=False, pure=False),
+        searched,
         starts=tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1]))),
         limits=limits,
         dtype=object,
@@ -1328,6 +1335,13 @@ def model_of(line: xr.Dataset, model: SceneModel | xr.Dataset) -> SceneModel:
             code="bands-differ",
         )
     return scene
+
+
+def within(model: SceneModel, where: Bools) -> SceneModel:
+    # Return a scene model without segments and lobes elsewhere, where nothing is flagged then.
+    return replace(
+        model, segment=np.where(where, model.segment, np.int32(-1)), lobe=model.lobe * np.asarray(where)
+    )
 
 
 def _flag_block(

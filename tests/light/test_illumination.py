@@ -329,7 +329,7 @@ def test_a_known_clock_lifts_the_flag() -> None:
 
 
 def test_impossible_seconds_are_named_together() -> None:
-    with refusal(SchemaError, "value-out-of-range", "max_gap", "-1 s", "clock_uncertainty", "-2 s"):
+    with refusal(SchemaError, "value-out-of-range", "max_gap", "-1.0 s", "clock_uncertainty", "-2.0 s"):
         line_light(ns([0.0]), ns([0.0]), np.ones(1), -1.0, clock_uncertainty=-2.0)
 
 

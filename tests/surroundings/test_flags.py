@@ -17,6 +17,7 @@ from support.analytic_scenes import (
     wall_beside_plane,
     wavelengths,
 )
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -154,6 +155,25 @@ def test_the_same_flags_for_any_chunks(line: xr.Dataset, whole: xr.Dataset, line
     other = hp.surroundings.flag(line.chunk(along_track=lines), sun_zenith=30.0).compute()
     for name in (*LAYERS, "quality"):
         np.testing.assert_array_equal(whole[name].values, other[name].values)
+
+
+def test_flags_of_chosen_pixels_are_those_of_the_whole(
+    line: xr.Dataset, model: SceneModel, whole: xr.Dataset, no_compute: Callable[[], Any]
+) -> None:
+    chosen = xr.DataArray(np.indices((96, 160)).sum(axis=0) % 7 < 2, dims=("cross_track", "along_track"))
+    for where in (chosen, chosen.chunk(), chosen.T.values):
+        with no_compute():
+            flagged = line.paint.flag(model, where=where)
+        for name in ("quality", *LAYERS):
+            other = flagged[name].where(chosen)
+            xr.testing.assert_equal(other, whole[name].where(chosen))
+        assert not flagged.quality.where(~chosen, 0).any()
+    assert whole.quality.where(~chosen, 0).any()
+    expect_refusals(
+        (SchemaError, "grid-mismatch", lambda: line.paint.flag(model, where=chosen[1:])),
+        (SchemaError, "grid-mismatch", lambda: line.paint.flag(model, where=chosen.astype(int))),
+        (SchemaError, "dims-wrong", lambda: line.paint.flag(model, where=chosen.rename(cross_track="depth"))),
+    )
 
 
 def test_bits_that_were_set_stay_and_missing_pixels_have_none(line: xr.Dataset, model: SceneModel) -> None:
