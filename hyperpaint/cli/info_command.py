@@ -366,8 +366,7 @@ def _is_pose_table(path: Path) -> bool:
     return (
         b"\0" in head
         if path.suffix.lower() == ".out"
-        else is_nmea(head)
-        or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))
+        else is_nmea(head) or (path.suffix.lower() in _TABLES and is_navigation_csv(head))
     )
 
 

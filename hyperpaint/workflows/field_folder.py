@@ -38,7 +38,7 @@ from hyperpaint.base import (
 from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import declared_quantity, find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
-from hyperpaint.io.files.reading import UNKNOWN, is_pattern, read_limited_text, unique_names
+from hyperpaint.io.files.reading import UNKNOWN, decoded_text, is_pattern, read_limited_text, unique_names
 from hyperpaint.io.flightline.side_files import (
     cube_number,
     find_exposure,
@@ -379,9 +379,7 @@ def _instruments(
 def surveyed_heights(path: Path) -> Floats:
     # heights above the ellipsoid [m]
 
-    text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
-        "utf-8-sig", "replace"
-    )
+    text = decoded_text(read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points"))
     with FormatError.instead_of(
         csv.Error, "not a table of text ($whole)", expected="rows of short cells", code="text-unreadable"
     ):

@@ -6,7 +6,9 @@ Tables in text files: one header line, cells as text, line numbers kept for mess
 checked by their facts: all problems are noted, named files are not opened.
 """
 
+import codecs
 import contextlib
+import csv
 import difflib
 import fnmatch
 import hashlib
@@ -144,18 +146,47 @@ class PackedColumns(Mapping[str, list[str]]):
         return len(self._column_numbers)
 
 
+_UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+#: First line by which spreadsheets state the separator; its line end stays, for the numbers of lines.
+_SEPARATOR_LINE = re.compile(r"\"?sep=[^\r\n]{0,9}(?=[\r\n])", re.IGNORECASE)
+#: Cells without a value, as R, pandas and spreadsheets write them, in lower case.
+MISSING_WORDS = frozenset(("na", "n/a", "#n/a", "#nv", "nan", "null", "none"))
+
+
 def decoded_text(data: bytes) -> str:
-    """Return the bytes of a file as text: UTF-8, with or without a byte order mark, else latin-1.
+    """Return the bytes of a file as text: UTF-8 or, by its byte order mark, UTF-16, else latin-1.
+
+    A first line ``sep=;`` becomes empty.
 
     Examples
     --------
-    >>> decoded_text("µm".encode("utf-8-sig")), decoded_text("µm".encode("latin-1"))
-    ('µm', 'µm')
+    >>> [decoded_text("µm".encode(encoding)) for encoding in ("utf-8-sig", "latin-1", "utf-16")]
+    ['µm', 'µm', 'µm']
     """
     try:
-        return data.decode("utf-8-sig")
+        text = data.decode("utf-16" if data.startswith(_UTF_16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError:
-        return data.decode("latin-1")
+        text = data.decode("latin-1").replace("\x85", "\u2026")  # in cp1252 no line end
+    return text[line.end() :] if (line := _SEPARATOR_LINE.match(text)) else text
+
+
+def cells_of(line: str, separator: str | None) -> list[str]:
+    """Return the cells of a line without the quotes around them; none where the quotes cannot be read.
+
+    separator: Between the cells; None or empty for blanks.
+
+    Examples
+    --------
+    >>> cells_of("400, 0.2", ","), cells_of('"red; matt";0,2', ";"), cells_of('"red, matt"  0.2', None)
+    (['400', ' 0.2'], ['red; matt', '0,2'], ['red, matt', '0.2'])
+    """
+    if '"' not in line:  # ten times as fast as the csv module
+        return line.split(separator or None)
+    text = line if separator else " ".join(line.split())
+    try:
+        return next(csv.reader([text], delimiter=separator or " ", skipinitialspace=True), [])
+    except csv.Error:  # a cell of more than 128 kB
+        return []
 
 
 def number(text: str) -> float | None:
@@ -217,7 +248,7 @@ def foreign_format(path: str | os.PathLike[str], *, is_binary: bool = False) -> 
     for pattern, name, mend in _FOREIGN:
         if pattern.match(head):
             return Problem(name, mend=mend, code="format-unknown")
-    if not is_binary and b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if not is_binary and b"\0" in head and not head.startswith(_UTF_16_MARKS):
         mend = "export it as text or CSV with the program that wrote it"
         return Problem(f"a binary file that begins with {head[:8]!r}", mend=mend, code="format-unknown")
     return None
@@ -232,9 +263,13 @@ TABLE_DIALECTS = (
 def row_numbers(line: str, dialect: tuple[str, bool]) -> list[float] | None:
     # Return the numbers of a line; None for other lines, and for an empty first cell.
     separator, has_commas = dialect
-    cells = line.strip(" ").split(separator or None)
-    texts = (cell.replace(",", ".") if has_commas else cell for cell in cells)
-    return numbers(texts) if len(cells) > 1 and cells[0].strip() else None
+    first, *others = cells_of(line.strip(" "), separator) or [""]
+    texts = [first, *("" if cell.strip().lower() in MISSING_WORDS else cell for cell in others)]
+    return (
+        numbers(cell.replace(",", ".") if has_commas else cell for cell in texts)
+        if first.strip() and others
+        else None
+    )
 
 
 def first_row(lines: Sequence[str], limit: int = 500) -> tuple[int, tuple[str, bool]] | None:
@@ -473,17 +508,16 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
     # Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``,
     # or is binary.
     mend = "cut it to the flight, or give an SBET file" if lines == MAX_TABLE_ROWS else "check the file"
-    data = read_limited_text(path, limit, "a text file", lines, mend)
+    # one copy at a time: such files have a hundred megabytes
+    text = decoded_text(read_limited_text(path, limit, "a text file", lines, mend))
     FormatError.raise_if(
-        b"\0" in data,
+        "\0" in text,
         f"{path}: binary",
         expected="text",
-        mend="export it: some systems write binary logs under the same name",
+        mend="export it as text: some systems write binary logs under the same name",
         code="text-unreadable",
     )
-    # as bytes, one copy at a time: such files have a hundred megabytes
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
-    return data.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @dataclass(frozen=True)
@@ -542,7 +576,7 @@ def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
         stop = text.find("\n", min(start + _BLOCK_CHARACTERS, end), end)
         stop = end if stop < 0 else stop
         block = text[start:stop]
-        codes = np.frombuffer(block.encode("latin-1"), np.uint8)
+        codes = np.frombuffer(block.encode("latin-1", "replace"), np.uint8)
         separators = np.append(codes[(codes == _TAB) | (codes == _LINE_END)], np.uint8(_LINE_END))
         cells = block.replace("\n", "\t").split("\t")
         if separators.size % len(names) or not all(map(str.strip, cells[:: len(names)])):

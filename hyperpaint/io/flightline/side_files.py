@@ -60,6 +60,7 @@ from hyperpaint.base.schema import with_steps
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import (
     Table,
+    decoded_text,
     load_netcdf,
     name_rows,
     number,
@@ -523,7 +524,7 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     text = read_limited_text(path, _MAX_BYTES, "a table of a lab sweep", mend="name cubes in a column 'cube'")
     numbered = [
         (n, line)
-        for n, line in enumerate(text.decode("utf-8-sig", "replace").splitlines(), 1)
+        for n, line in enumerate(decoded_text(text).splitlines(), 1)
         if line.strip(' \t,;"') and not line.startswith("#")
     ]
     separator = max(",;\t", key=numbered[0][1].count) if numbered else ","

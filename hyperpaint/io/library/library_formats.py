@@ -6,7 +6,6 @@ A table of EcoSIS has headings of properties, and a heading of each wavelength; 
 transpose: a row for each property, then for each wavelength, and a column for each spectrum.
 """
 
-import contextlib
 import csv
 import itertools
 import os
@@ -54,6 +53,8 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import (
+    MISSING_WORDS,
+    cells_of,
     decoded_text,
     foreign_format,
     number,
@@ -130,7 +131,7 @@ _WAVELENGTH_UNITS = re.compile(r"wave ?lengths? ?units?|x ?units?", re.IGNORECAS
 _VALUE_UNITS = re.compile(r"(?:measurement|reflectance|spectra\w*|values?|data|y)?[ _]?units?", re.IGNORECASE)
 _QUANTITY = re.compile(r"(?:measurement )?(?:quantity|type)|measurement", re.IGNORECASE)
 _PROCESSING = re.compile(r"(?:data[ _])?process\w*|transform\w*", re.IGNORECASE)
-_MISSING = {"na", "n/a", "nan", "null", "none", "-"}
+_MISSING = {*MISSING_WORDS, "-"}
 #: Headings of bands as other programs write them: ``0.35 um``, ``wl_350``, ``R350``, ``Reflectance_350``.
 _BAND_HEADING = re.compile(
     r"(?:x|wl|wvl|wavelength|nm|r|refl(?:ectance)?)?[ _.]?(\d{1,5}(?:[.,]\d{1,6})?)"
@@ -176,9 +177,7 @@ def _nm(text: str, pattern: re.Pattern[str] = _BAND_HEADING) -> float:
 
 def _cells(line: str) -> list[str]:
     # Return the cells of one line.
-    with contextlib.suppress(csv.Error, StopIteration):
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=heading_cells(line)[0]))]
-    return [""]
+    return [cell.strip() for cell in cells_of(line, heading_cells(line)[0])] or [""]
 
 
 def read_sample_table(
@@ -556,7 +555,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
 
 
 def _head(path: Path) -> str:
-    return head_of(path, _HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
+    return decoded_text(head_of(path, _HEAD_BYTES))
 
 
 # --- one file ----------------------------------------------------------------------------------------------

@@ -85,11 +85,11 @@ from hyperpaint.io.envi.envi_cubes import (
     read_header,
 )
 from hyperpaint.io.files.reading import (
-    decoded_text,
+    cells_of,
     first_row,
     number,
     numbers,
-    read_limited_text,
+    read_text,
     refuse,
     row_numbers,
     safe_cell,
@@ -854,7 +854,6 @@ def _with_metadata(
 MAX_BYTES = 32 * 2**20
 
 
-_BREAK = re.compile(r"\r\n|\r|\n")
 # also right behind a number, as in "1.12-216microns"
 _MICROMETRE = re.compile(r"(?<![a-zA-Z])(?:um|micromet(?:er|re)s?|microns?|[µμ]m)\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"(?<![a-zA-Z])(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
@@ -997,12 +996,13 @@ def read_plain_table(
     # its first column is not wavelengths, or the values are not reflectance. Warns PaintWarning: Successive
     # rows have the same wavelength; or the values of a column look like a standard deviation.
     source = path.name
-    lines = _lines(path, "a table of wavelengths and reflectance")
+    lines = read_text(path, MAX_BYTES).split("\n")
     without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
     found = FormatError.raise_if_none(
         first_row(without_comments, _TABLE.max_preamble),
         f"{source}: no table of numbers",
         expected="a wavelength and one or more values a line",
+        mend="write wavelengths in the first column, and a column for each spectrum",
         code="table-missing",
     )
     first, dialect = found
@@ -1207,10 +1207,7 @@ def _heading_cells(line: str, mark: str) -> list[str]:
     text = line.strip().lstrip("#")
     if not mark:  # a unit in brackets belongs to the word before it
         text = re.sub(r"\s+(?=[(\[])", "", text.strip().replace("\t", " "))
-    try:
-        return next(csv.reader([text], delimiter=mark or " ", skipinitialspace=not mark), [])
-    except csv.Error:
-        return []
+    return cells_of(text, mark)
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
@@ -1339,7 +1336,7 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     # the file's own [nm]. Raises FormatError: The header or the numbers are damaged, or the values are not
     # reflectance.
     source = path.name
-    lines = _lines(path, "a spectrum of the ECOSTRESS or ASTER library")
+    lines = read_text(path, MAX_BYTES).split("\n")
     # the header: values of ASTER files wrap
     parts: dict[str, list[str]] = {}
     current, is_wrapped = "", False
@@ -1502,7 +1499,7 @@ def read_usgs(
 
 
 def _column(path: Path) -> tuple[str, Floats]:
-    lines = _lines(path, "a file of the USGS spectral library")
+    lines = read_text(path, MAX_BYTES).split("\n")
     values = _table(lines, 1, 1, path.name)[:, 0]
     fault = Problem(f"{values.size} values", expected="a title and one value a line", code="table-missing")
     refuse(path.name, (values.size < 2, fault))
@@ -1560,20 +1557,6 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 # --- lines, numbers, units ---------------------------------------------------------------------------------
 
 
-def _lines(path: Path, expected: str) -> list[str]:
-    # Return the lines of a text file, in UTF-8 or else latin-1.
-    # Raises FormatError: The file cannot be read, is too large, or is binary.
-    raw = read_limited_text(path, MAX_BYTES, expected)
-    FormatError.raise_if(
-        b"\0" in raw,
-        f"{path}: holds NUL bytes",
-        expected=expected,
-        mend="save UTF-16 text as UTF-8",
-        code="text-unreadable",
-    )
-    return _BREAK.split(decoded_text(raw))
-
-
 def _table(
     lines: Sequence[str],
     first_line: int,
@@ -1595,6 +1578,7 @@ def _table(
                 problems.add(
                     f"line {at}: {line.strip()[:60]!r}",
                     expected=f"{columns} number{'s'[: columns - 1]}",
+                    mend="remove lines that do not belong to the table",
                     code="row-unreadable",
                 )
                 if len(problems) == _MAX_SHOWN:

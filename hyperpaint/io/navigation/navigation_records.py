@@ -29,7 +29,6 @@ last: surveyed coordinates, and the pixels where the points are visible.
 """
 
 import contextlib
-import csv
 import datetime
 import itertools
 import os
@@ -84,6 +83,8 @@ from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import (
     MAX_TABLE_ROWS,
     Table,
+    cells_of,
+    decoded_text,
     name_rows,
     number,
     numbered_lines,
@@ -921,7 +922,7 @@ class _Column(NamedTuple):
 
 def is_navigation_csv(head: bytes) -> bool:
     # Return whether the header of a file names position and attitude.
-    lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
+    lines = decoded_text(head).splitlines()
     header = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", header, maxsplit=_MAX_COLUMNS)}
     return {"latitude", "longitude", "roll", "pitch"} <= names
@@ -952,13 +953,13 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         if line.strip() and not line.lstrip().startswith("#"):
             head = line
             break
-        key, _, value = line.lstrip("# \t").partition(":")
+        key, _, value = line.lstrip("# \t").rstrip(",; \t").partition(":")  # a spreadsheet fills lines up
         if line.strip() and len(comments) < _MAX_COMMENTS:
             comments[_plain_words(key).replace(" ", "_")] = value.strip()
     separator = next(
         (character for character in ("\t", ";", ",") if character in head), "," if names is None else None
     )
-    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
+    cells = cells_of(head, separator)[: _MAX_COLUMNS + 1] if names is None else list(names)
     header = [_column(cell) for cell in cells]
     if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
         shown_header = head.strip()[:80] if names is None else ", ".join(cells)[:80]
@@ -970,12 +971,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         )
     first = start + (names is None)
     rows = (
-        (
-            number,
-            line.strip().split(separator, len(header))
-            if separator is None
-            else line.split(separator, len(header)),
-        )
+        (number, cells_of(line, separator))
         for number, line in numbered_lines(text)
         if number >= first and line.strip() and not line.lstrip().startswith("#")
     )
@@ -1113,7 +1109,7 @@ def _time_column(
 ) -> tuple[Ints, Bools, str]:
     # Return stamps [ns], whether each row has one, and their origin as in `_CLOCKS`.
     clock = _CLOCKS[column.key]
-    cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
+    cells = [cell.strip() for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
     stamp = np.zeros(len(cells), np.int64)
     first_stamp = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
@@ -1643,6 +1639,7 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         return "sbet"
     if suffix == ".lcf":
         return "lcf"
+    head = decoded_text(head).encode()
     first_line = head.partition(b"\n")[0].lower()
     if b"\0" not in head and {b"roll", b"pitch", b"yaw", b"lat", b"lon", b"alt"} <= set(first_line.split()):
         return "imu_gps"
@@ -1920,7 +1917,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     ('EPSG:32617', [10.5], ['A'])
     """
     path = as_path(path)
-    text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
+    text = decoded_text(read_limited_text(path, _MAX_BYTES, "a table of control points"))
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
@@ -1931,7 +1928,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         code="table-missing",
     )
     separator = next((separator for separator in ("\t", ";", ",") if separator in rows[0][1]), ",")
-    cells = _cells(rows[0][1], separator)
+    cells = cells_of(rows[0][1], separator)
     headings = [column_heading(cell) for cell in cells]
     header = [_POINT_ALIASES.get(name, "") for name, _ in headings]
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
@@ -1953,7 +1950,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
                 mend="subtract 1",
                 code="pixel-origin",
             )
-    table = table_of(path, header, [(number, _cells(line, separator)) for number, line in rows[1:]])
+    table = table_of(path, header, [(number, cells_of(line, separator)) for number, line in rows[1:]])
     # the last comment with a CRS is valid
     pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
     crs_texts = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
@@ -2013,15 +2010,6 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
         )
         return None
     return units.pop()
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if '"' not in line:  # ten times as fast as the csv module
-        return line.split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:
-        return []
 
 
 def column_heading(cell: str) -> tuple[str, str]:

@@ -46,6 +46,7 @@ from hyperpaint.base import (
     warn_if,
 )
 from hyperpaint.io.files.reading import (
+    decoded_text,
     load_netcdf,
     number,
     numbered_lines,
@@ -166,7 +167,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             ),
         ),
     )
-    text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
+    text = decoded_text(data).replace("\r\n", "\n").replace("\r", "\n")
     del data  # to free memory
     comments: dict[str, str] = {}
 
@@ -174,7 +175,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
         # the text is split row by row, to save memory
         for line_number, line in numbered_lines(text):
             if line.startswith("#"):
-                key, _, value = (part.strip() for part in line[1:].partition(":"))
+                key, _, value = (part.strip() for part in line[1:].rstrip(",; \t").partition(":"))
                 FormatError.raise_if(
                     key.lower() in _KEYS and comments.setdefault(key.lower(), value) != value,
                     f"{name}: line {line_number} says {key} {value[:40]!r}, a line before "

@@ -21,6 +21,8 @@ from hyperpaint.base import (
 )
 from hyperpaint.io.files.reading import (
     TABLE_DIALECTS,
+    cells_of,
+    decoded_text,
     first_row,
     foreign_format,
     number,
@@ -62,14 +64,14 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
     with Problems(f"{path} cannot be used as a spectrum", FormatError) as problems:
         data = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns")
         refuse(str(path), (True, foreign_format(path, is_binary=True)))
-        lines = [line.strip().lstrip("\ufeff") for line in data.decode("utf-8", "replace").splitlines()]
+        lines = [line.strip() for line in decoded_text(data).splitlines()]
         _, dialect = first_row(["" if line.startswith("#") else line for line in lines]) or (0, (",", False))
         rows: list[list[float]] = []
         headings_above: list[str] = []
         comments: list[str] = []
         for line_number, content in enumerate(lines, 1):
             if not content or content.startswith("#"):
-                comments += [content] if content and not rows else []
+                comments += [content.rstrip(",; \t")] if content and not rows else []
                 continue
             row = row_numbers(content, dialect)
             if row is None and not dialect[1]:
@@ -77,7 +79,7 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
             if row is not None and len(row) == len(rows[0] if rows else row) and (has_units or len(row) == 2):
                 rows.append(row)
             elif not rows and line_number <= headings:
-                headings_above.append(content)
+                headings_above.append(content.rstrip(",; \t"))
             else:
                 problems.add(
                     f"line {line_number}: {content[:60]!r}",
@@ -88,10 +90,14 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
                     problems.raise_if_any()
         table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
         if has_units:
+            while table.shape[1] > 2 and np.isnan(table[:, -1]).all():  # every line ends with separators
+                table = table[:, :-1]
             # the column of reflectance, the only one that is no uncertainty, and the headings of two columns
             column, count, mark = 1, table.shape[1], dialect[0]
             if count > 2:
-                cells = [re.split(re.escape(mark) if mark else r" {2,}|\t", line) for line in headings_above]
+                cells = [
+                    cells_of(line, mark) if mark else re.split(r" {2,}|\t", line) for line in headings_above
+                ]
                 cells = [line for line in cells if len(line) == count]
                 columns = [
                     at
@@ -110,7 +116,11 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
                 headings_above = [f"{line[0].strip()}{mark or '  '}{line[column].strip()}" for line in cells]
             table = table[:, [0, column]]
             headings_above = [*comments, *headings_above]
-            table[:, :1] *= _factor(headings_above, 0, path)
+            # "A" is the angstrom above numbers that are too large for nanometres, else the name of a column
+            is_angstrom = (
+                headings_above and re.match(r'"?[AÅ]\W', headings_above[-1]) and table[:, 0].min() > 2000.0
+            )
+            table[:, :1] *= 0.1 if is_angstrom else _factor(headings_above, 0, path)
         table = table.reshape(-1, 2)
         wavelength, values = (table[::-1] if len(rows) > 1 and table[0, 0] > table[-1, 0] else table).T.copy()
         first, last = (wavelength[0], wavelength[-1]) if rows else (0.0, 0.0)
@@ -364,7 +374,7 @@ def read_panel_table(path: str | os.PathLike[str]) -> xr.DataArray:
     data = read_limited_text(path, _MAX_BYTES, "a table of a panel's factors")
     lines = [
         (at, [cell.strip() for cell in line.split(",")])
-        for at, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), 1)
+        for at, line in enumerate(decoded_text(data).splitlines(), 1)
         if line.strip() and not line.startswith("#")
     ]
     names = [name.lower() for name in lines[0][1]] if lines else []
@@ -569,7 +579,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
 def _sections(path: Path, kind: str) -> list[tuple[str, list[tuple[int, str]]]]:
     # Return the sections of a file of FRM4SOC in their order: name, and numbered lines without comments.
     # kind: Second line of the file. Raises FormatError: The file is of another kind.
-    text = read_limited_text(path, _MAX_BYTES, "a calibration of FRM4SOC").decode("utf-8", "replace")
+    text = decoded_text(read_limited_text(path, _MAX_BYTES, "a calibration of FRM4SOC"))
     lines = [line.strip() for line in text.splitlines()]
     FormatError.raise_if(
         lines[:2] != ["!FRM4SOC_CP", kind],

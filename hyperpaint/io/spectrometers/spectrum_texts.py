@@ -101,8 +101,8 @@ _NON_FINITE_WORDS = {
 
 
 def text_lines(data: bytes) -> list[str]:
-    # Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out.
-    return decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    # Return the lines of a text, with any line ends; NULs are left out.
+    return decoded_text(data).replace("\0", "").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def cell_number(text: str) -> float | None:

@@ -293,6 +293,18 @@ def test_csv_keeps_what_its_comments_declare(tmp_path: Path) -> None:
     assert flight.attrs["time_scale"] == "utc"
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_csv_as_spreadsheets_write_it(tmp_path: Path, encoding: str, quote: str) -> None:
+    rows = [CSV_HEADER.replace("degree", "°"), *CSV_ROWS]
+    rows = [";".join(f"{quote}{cell}{quote}" for cell in row.split(",")) for row in rows]
+    text = "\n".join(["sep=;", "# height_reference: geoid;;;;;;", *rows, ""])
+    (tmp_path / "f.csv").write_bytes(text.encode(encoding))
+    flight = hp.open_navigation(tmp_path / "f.csv")
+    assert flight.heading.values.tolist() == [359.5, 0.5]
+    assert flight.attrs["convention_height_reference"] == "geoid"
+
+
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str) -> None:
     header = [

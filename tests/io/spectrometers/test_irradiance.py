@@ -1497,10 +1497,19 @@ def test_the_way_out_is_named(name: str, tmp_path: Path) -> None:
         ("# absorbance accessory\nnm,%R\n400,99\n700,93\n", 0.96),
         ("nm;%Reflectance\n400;99\n700;93\n", 0.96),
         ("Wavelength,R (8/h),u(R)\nnm,1,1\n400,0.99,0.005\n700,0.93,0.005\n", 0.96),
+        ('"nm","R"\n"400","0.99"\n"700","0.93"\n', 0.96),
+        ("nm,R,,\n400,0.99,,\n700,0.93,,\n", 0.96),
+        ("# nm;[%];;\nnm;[%];;\n400;99;;\n700;93;;\n", 0.96),
+        ("sep=;\nWavelength (µm);Reflectance\n0.4;0.99\n0.7;0.93\n".encode("cp1252"), 0.96),
+        ("Wavelength (µm)\tReflectance\n0.4\t0.99\n0.7\t0.93\n".encode("utf-16"), 0.96),
+        ("A,R\n4000,0.99\n7000,0.93\n", 0.96),
+        ("A,B\n400,0.99\n700,0.93\n", 0.96),
         ("400,0.02,0.001\n700,0.02,0.001\n", None),
     ],
 )
-def test_certificates_as_laboratories_print_them(text: str, at_550: float | None, tmp_path: Path) -> None:
+def test_certificates_as_laboratories_print_them(
+    text: str | bytes, at_550: float | None, tmp_path: Path
+) -> None:
     path = write_file(tmp_path / "p.csv", text)
     if at_550 is None:
         expect_refusals((FormatError, "column-ambiguous", lambda: hp.io.read_certificate(path)))
