@@ -406,7 +406,8 @@ def open_library(
         units or headings. Without any of these, values that are not fractions are an error.
     quantity
         ``"reflectance"`` declares a text as reflectance whose headings or values look like another quantity,
-        or whose third column without a heading looks like a standard deviation.
+        or whose third column without a heading looks like a standard deviation. Columns of statistics,
+        such as ``red_err`` beside ``red``, are left out.
 
     Returns
     -------
@@ -431,7 +432,7 @@ def open_library(
         The library is of hyperpaint 0.2 or before: its dimension `paint` is renamed `signature`. Names or
         metadata are missing, names repeated or wavelengths out of order, or an inferred property may make
         values wrong. Spectra have the oxygen band of sunlight, as radiance and irradiance do. Rows of
-        standard deviations are left out.
+        standard deviations, or columns of statistics, are left out.
 
     Examples
     --------

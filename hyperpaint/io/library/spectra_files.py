@@ -1039,6 +1039,15 @@ def read_plain_table(
             code="grid-mismatch",
         )
     spectra, widths = np.flatnonzero(roles == _SPECTRUM), np.flatnonzero(roles == _WIDTH)[:1]
+    # statistics of other columns, except the standard deviations, which belong to their spectra
+    names = [headings[at].strip() for at in spectra] if headings else []
+    others = [n for n in statistics_among(names) if STATISTIC.search(n) or not SPREAD.search(n)]
+    if is_reflectance and 0 < len(others) < len(names):
+        warn_user(
+            f"{source}: columns {', '.join(map(repr, others))} are statistics, not spectra, and are left out",
+            "columns-left-out",
+        )
+        spectra = spectra[[name not in others for name in names]]
     nm, values, axis_notes = _axis_and_values(
         table[:, [axis, *spectra, *widths]], text_of[axis], source, wavelength
     )
@@ -1048,8 +1057,6 @@ def read_plain_table(
     headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
         # neither headings nor the lines above may name radiance, irradiance, counts or transmittance
-        names = [name.strip() for name in headings[1:]]
-        others = [n for n in statistics_among(names) if STATISTIC.fullmatch(n) or not SPREAD.search(n)]
         named = [name for name in names if foreign_quantity(name) or name in others]
         FormatError.raise_if(
             named,

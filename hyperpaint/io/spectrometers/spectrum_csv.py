@@ -33,6 +33,7 @@ from hyperpaint.io.files.reading import (
     table_of,
 )
 from hyperpaint.io.library.spectra_files import WAVENUMBER, foreign_quantity
+from hyperpaint.io.spectrometers.spectrum_texts import SPREAD, STATISTIC
 
 _MAX_BYTES = 16 << 20
 _MAX_SHOWN = 5
@@ -102,7 +103,7 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
                 columns = [
                     at
                     for at in range(1, count)
-                    if cells and not any(_UNCERTAINTY_WORDS.search(line[at].lower()) for line in cells)
+                    if cells and not any(_UNCERTAINTY_WORDS.search(line[at]) for line in cells)
                 ]
                 FormatError.raise_if(
                     len(columns) != 1,
@@ -168,9 +169,7 @@ _UNIT_AT_END = re.compile(
 )
 _PERCENT = re.compile(r"(?<!\d)(?<!\d )(?:%|\bper ?cent\b)", re.IGNORECASE)
 _WAVELENGTH = re.compile(r"(?:cent(?:er|re|ral) |band )?(?:wave ?lengths?|wvl?|wl|lambda|λ)?(?: in)?[ _/,:]*")
-_UNCERTAINTY_WORDS = re.compile(
-    r"uncert|unsicher|error|deviation|\bstd|\bsd\b|\bunc\b|\bu ?[(_]|\bk ?= ?\d|\u00b1|sigma"
-)
+_UNCERTAINTY_WORDS = re.compile(rf"{STATISTIC.pattern}|{SPREAD.pattern}|error|deviation|\bstd", re.IGNORECASE)
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:

@@ -74,17 +74,26 @@ SPREAD = re.compile(
     re.I,
 )
 STATISTIC = re.compile(
-    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|(?:standard |std ?)err\w*|sem|cov|snr|"
-    r"(?:quality[ _-]?)?flags?|qc|weights?|"
-    r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
+    r"(?<![a-z])(?:variance|var|(?:[a-z]+[ _])?uncert\w*|[a-z]*unsicher\w*|unc|u(?= ?[(_])|"
+    r"(?:(?:standard|std)[ _]?)?err(?:ors?)?|sem|cov|snr|(?:quality[ _-]?)?flags?|qc|weights?|"
+    r"k ?= ?\d+|\+ ?/ ?-|\u00b1)(?![a-z])",
     re.I,
 )
-
-#: Headings of means, and of what is a statistic beside a mean, and may be a name elsewhere.
+#: Headings of means, and what is a statistic beside its spectrum, and may be a name elsewhere.
 MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|mittel(?:wert)?|moyenne|promedio|media)(?![a-z])", re.I)
-_BESIDE_MEAN = re.compile(
-    r"(?:se|cv|min(?:imum)?|max(?:imum)?|median|(?:lower|upper|lo|hi|lcl|ucl|ci)[ _-]?\d*|[pq]\d+)"
-    r"(?: ?[(\[]?%[)\]]?)?",
+_BESIDE = re.compile(
+    r"(?<![a-z])(?:se|cv|u|min(?:imum)?|max(?:imum)?|median|[pq]\d\d|"
+    r"(?:lower|upper|lcl|ucl|ci)(?:[ _-]?(?:lower|upper|low|high|lo|hi|\d+))*)(?![a-z])|"
+    r"(?<![a-z])[d\u03b4](?:r|rho|refl\w*)(?![a-z])",
+    re.I,
+)
+#: Statistics where nothing else stands in the heading: counts, and limits beside a mean.
+_COUNT = re.compile(r"n ?(?:obs|spectra|samples)?|number", re.I)
+_LIMIT = re.compile(r"(?:lo|hi|low|high)[ _-]?\d*|[pq]\d+", re.I)
+#: Words that are left out when headings are compared.
+_WORDS = re.compile(
+    rf"{STATISTIC.pattern}|{SPREAD.pattern}|{_BESIDE.pattern}|"
+    r"(?<![a-z])(?:reflectances?|reflectivity|refl|rho|r)(?![a-z])",
     re.I,
 )
 
@@ -128,18 +137,24 @@ def statistics_among(names: Sequence[str]) -> list[str]:
     ['red sd', 'Std', 'variance']
     >>> statistics_among(["mean", "SE", "max"]), statistics_among(["E", "SE", "max"])
     (['SE', 'max'], [])
+    >>> statistics_among(["red", "red_err", "cherry", "mint", "median grey", "u(R)"])
+    ['red_err', 'u(R)']
     """
-    # names without the words for a mean and a spread, and without the suffix of a file
+    # names without the words for a mean, a spread, statistics, and without the suffix of a file
     rest = [MEAN.sub(" ", name.lower()).strip().removesuffix(".asd") for name in names]
-    stems = ["".join(filter(str.isalnum, SPREAD.sub(" ", name).replace(".asd ", " "))) for name in rest]
-    spectra = {stem for stem, name in zip(stems, rest, strict=True) if not SPREAD.search(name)}
-    has_mean = any(MEAN.fullmatch(name) or name.lower() == "reflectance" for name in names)
+    stems = ["".join(filter(str.isalnum, _WORDS.sub(" ", name).replace(".asd ", " "))) for name in rest]
+    always = [bool(STATISTIC.search(name) or SPREAD.search(name)) for name in rest]
+    worded = [known or bool(_BESIDE.search(name)) for known, name in zip(always, rest, strict=True)]
+    spectra = {stem for stem, has_word in zip(stems, worded, strict=True) if not has_word}
+    # a median is the spectrum of a paint that has no other
+    medians = {s for s, name in zip(stems, rest, strict=True) if "median" in name and s not in spectra}
     return [
         name
-        for stem, given, name in zip(stems, rest, names, strict=True)
-        if STATISTIC.fullmatch(name)
-        or (has_mean and _BESIDE_MEAN.fullmatch(name))
-        or (SPREAD.search(given) and (not stem or stem in spectra))
+        for stem, given, is_known, has_word, name in zip(stems, rest, always, worded, names, strict=True)
+        if _COUNT.fullmatch(name)
+        or (is_known and not stem)
+        or (has_word and stem in spectra | medians and not ("median" in given and stem in medians))
+        or (_LIMIT.fullmatch(name) and "" in spectra | medians)
     ]
 
 

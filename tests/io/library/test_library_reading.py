@@ -1061,6 +1061,54 @@ def test_names_of_columns_that_resemble_wavelengths_are_names(names: list[str], 
     assert hp.open_library(path)["signature"].values.tolist() == names
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        *(
+            "red,red_err",
+            "R,err",
+            "R,u(R)",
+            "R,dR",
+            "red,red +/-",
+            "rho,rho_unc",
+            "R,k=2",
+            "red,red variance",
+        ),
+        *(
+            "red,red_min,red_max",
+            "R,R lower,R upper",
+            "R,ci_low,ci_high",
+            "median,q25,q75",
+            "red,red std err",
+        ),
+        *("reflectance,reflectance_uncertainty", "rho,rho_se", "mean,min,max", "hood,Expanded uncertainty"),
+    ],
+)
+def test_statistics_beside_their_spectrum_are_no_paints(names: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "x.csv", f"nm,{names}", NMS, A, *[0 * A + 0.01] * names.count(","))
+    expect_errors((FormatError, "quantity-wrong", lambda: hp.open_library(path)))
+    with pytest.warns(PaintWarning, match="columns-left-out"):
+        library = hp.open_library(path, quantity="reflectance")
+    np.testing.assert_allclose(library["reflectance"].values, [A], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ('"nm","a","b"\n"450","0.1","NA"\n"550","0.2","0.3"\n', "utf-8"),
+        ('"","wavelength","a","b"\n"1",450,0.1,#N/A\n"2",550,0.2,0.3\n', "utf-8"),
+        ('"nm" "a" "b"\n450 0.1 NA\n550 0.2 0.3\n', "utf-8"),
+        ("Wavelength (µm)\ta\tb\n0.45\t0.1\t\n0.55\t0.2\t0.3\n", "utf-16"),
+        ("Wavelength (µm);a;b\n0,45;0,1;nan\n0,55;0,2;0,3\n", "cp1252"),
+    ],
+)
+def test_tables_as_r_and_spreadsheets_write_them(text: str, encoding: str, tmp_path: Path) -> None:
+    library = hp.open_library(write_text(tmp_path, text, encoding=encoding))
+    assert library["signature"].values.tolist() == ["a", "b"]
+    np.testing.assert_allclose(library["wavelength"].values, [450.0, 550.0])
+    np.testing.assert_allclose(library["reflectance"].values, [[0.1, 0.2], [np.nan, 0.3]], rtol=1e-6)
+
+
 def test_rows_of_statistics_and_empty_rows_are_no_paints(tmp_path: Path) -> None:
     rows = [["name", *map(str, NMS)], *([name, *["0.3"] * 61] for name in ("mean", "std")), [""] * 62]
     path = write_text(tmp_path, "\n".join(map(",".join, rows)), "rows.csv")
