@@ -921,7 +921,9 @@ _LENGTH = r"(?:nm|[uµμ]m|(?:nano|micro)met(?:er|re)s?|microns?|angstroms?|Å)"
 _UNIT_CELL = re.compile(rf"|-|1|%|per ?cent|pct|fraction|unitless|{_LENGTH}", re.I)
 #: Headings, without brackets, of wavelengths, of widths of bands, and of numbers of rows.
 _AXIS_NAME = re.compile(
-    rf"(?=.)(?:(?:band |cent(?:er|re|ral) )?{_WAVE})?(?: in)? ?{_LENGTH}?|{_WAVE}(?: in)? (?-i:A)",
+    # with the number of a pair of columns, or of a repeated name
+    rf"(?=[^.])(?:(?:band |cent(?:er|re|ral) )?{_WAVE}(?: ?\d{{1,2}})?)?(?: in)? ?{_LENGTH}?"
+    rf"(?: ?\.\d{{1,2}})?|{_WAVE}(?: in)? (?-i:A)",
     re.I,
 )
 _WIDTH_NAME = re.compile(rf"(?:fwhm|band ?widths?|band ?pass)(?: in)? ?{_LENGTH}?", re.I)
@@ -1175,12 +1177,14 @@ def _roles(
         code="column-unknown",
     )
     roles[axes], roles[[at for at in numbered if counted[at]]] = _AXIS_COLUMN, _LEFT_OUT
+    # wavenumbers beside wavelengths
+    roles[[at for at in columns if axes and at not in axes and WAVENUMBER.match(names[at])]] = _LEFT_OUT
     roles[[at for at in columns if headings and _WIDTH_NAME.fullmatch(names[at])]] = _WIDTH
     roles[axis] = _AXIS_COLUMN
     left_out = [
         headings[at].strip() or "without a name" for at in columns if headings and roles[at] == _LEFT_OUT
     ]
-    notes = [f"numbers of rows left out: column {', '.join(left_out)}"] if left_out else []
+    notes = [f"numbers of rows or wavenumbers left out: column {', '.join(left_out)}"] if left_out else []
     return axis, roles, notes
 
 

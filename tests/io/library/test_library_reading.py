@@ -1012,6 +1012,12 @@ READ: dict[str, tuple[str, tuple[Any, ...], dict[str, str], list[str]]] = {
     "angstrom": ("Wavelength (Angstrom),a", (NMS * 10.0, A), {}, ["a"]),
     "A": ("Wavelength (A),a", (NMS * 10.0, A), {}, ["a"]),
     "lambda_A": ("lambda_A,A,B", (NMS * 10.0, A, B), {}, ["A", "B"]),
+    "pairs of columns": ("wl1,a,wl2,b", (NMS / 1e3, A, NMS / 1e3, B), {}, ["a", "b"]),
+    "a repeated name": ("Wavelength (nm),a,Wavelength (nm).1,b", (NMS, A, NMS, B), {}, ["a", "b"]),
+    "wavenumbers too": ("Wavenumber (cm-1),Wavelength (nm),a", (1e7 / NMS, NMS, A), {}, ["a"]),
+    "names with words of statistics": ("nm,cherry,mint", (NMS, A, B), {}, ["cherry", "mint"]),
+    "a median alone": ("nm,median grey,max", (NMS, A, B), {}, ["median grey", "max"]),
+    "a separator line": ("sep=;\nnm;a", (NMS, A), {"mark": ";"}, ["a"]),
 }
 
 
