@@ -729,8 +729,9 @@ _BLOCKS_BY_QUANTITY = {
 
 def _receptor_conflict(content: AsdFile | AsdText | SpectrumText, quantity: str) -> str:
     # Return the setting of the instrument that contradicts a quantity; empty without one.
-    if isinstance(content, SpectrumText):
-        return ""  # its columns name their quantity
+    if isinstance(content, SpectrumText):  # its columns name their quantity
+        is_conflict = quantity == "irradiance" and re.search(r"\{radiance\}", content.fore_optic, re.I)
+        return f"fore optic {content.fore_optic[:40]!r}" if is_conflict else ""
     if isinstance(content, AsdText):
         has_cosine = content.preamble.get("cosine_receptor")
         if quantity == "irradiance" and has_cosine is False:

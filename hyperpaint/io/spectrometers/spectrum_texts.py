@@ -1374,7 +1374,12 @@ _INTEGRATION = _pattern(
 _SECONDS = {"usec": 1e-6, "sec": 1.0}
 _AVERAGES = _pattern(r"^(?:spectra averaged|scans to average|average|averaging[^:\n]*) *: *(\d{1,6})\b")
 #: Local time minus UTC [h] of the abbreviations that have one meaning.
-_ZONES = {"UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "CEST": 2, "EET": 2, "EEST": 3}
+_ZONES = {
+    "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "CEST": 2, "EET": 2, "EEST": 3, "EST": -5, "EDT": -4,
+    "CDT": -5, "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+#: Fore optics of the reference and of the target.
+_FORE_OPTIC = _pattern(r"^Foreoptic:([^\n]{0,200})")
 _GPS = _pattern(
     r"^Latitude: *(-?\d{1,2}\.\d+)\s*\nLongitude: *(-?\d{1,3}\.\d+)\s*\nAltitude: *(-?\d{1,5}(?:\.\d+)?)\s*\n"
     r"GPS Time: *(\d\d):(\d\d):(\d\d)"
@@ -1405,6 +1410,7 @@ class SpectrumText(NamedTuple):
     utc_offset_h: float | None
     averaging_s: float | None
     gps: tuple[float, float, float, dt.time] | None  # degrees north and east, metres, UTC
+    fore_optic: str  # of the target; empty where the file does not say
 
     @property
     def quantity(self) -> str | None:
@@ -1633,7 +1639,8 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
             "time-unreadable",
         )
         offset = _ZONES.get(parts["zone"] or "")
-    seconds, averages, fix = (pattern.search(head) for pattern in (_INTEGRATION, _AVERAGES, _GPS))
+    patterns = (_INTEGRATION, _AVERAGES, _GPS, _FORE_OPTIC)
+    seconds, averages, fix, optic = (pattern.search(head) for pattern in patterns)
     gps = (
         (float(fix[1]), float(fix[2]), float(fix[3]), dt.time(int(fix[4]), int(fix[5]), int(fix[6])))
         if fix is not None and max(int(fix[5]), int(fix[6])) < 60 and int(fix[4]) < 24
@@ -1654,4 +1661,5 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         offset,
         window,
         gps,
+        optic[1].rpartition(",")[2].strip() if optic is not None else "",
     )

@@ -1236,6 +1236,18 @@ def test_units_of_avantes_irradiance_are_those_of_the_file(tmp_path: Path) -> No
     np.testing.assert_allclose(opened["irradiance"].values[0], LIGHT, rtol=1e-4, atol=1e-6)
 
 
+def test_the_fore_optic_and_the_zone_of_a_text_are_judged(tmp_path: Path) -> None:
+    _, text, options = IRRADIANCES["DARWin"]
+    path = write_file(
+        tmp_path / "a.sed", text.replace("Units:", "Foreoptic: LENS4 {RADIANCE}, LENS4 {RADIANCE}\nUnits:")
+    )
+    options = {"fwhm_nm": 1.5, "max_gap_s": 5, **options}
+    expect_refusals((FormatError, "fore-optic-wrong", lambda: open_irradiance(path, **options)))
+    path = write_file(tmp_path / "a.OVIrrad", IRRADIANCES["OceanView"][1].replace("CEST", "EDT"))
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
+        open_irradiance(path, fwhm_nm=1.5, max_gap_s=5, utc_offset_h=-5)
+
+
 @pytest.mark.parametrize(
     ("date", "expected"),
     [("03/05/2024", "2024-03-05"), ("13.05.2024", "2024-05-13"), ("05.06.2024", "2024-06-05")],
