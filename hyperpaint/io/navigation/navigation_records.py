@@ -890,6 +890,9 @@ _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("time of week", "gps time of week", "gps seconds of week", "tow", "sow"), "week"),
     **dict.fromkeys(("unix time", "posix time", "epoch time", "unix"), "unix"),
 }
+_WEEK_NAMES = ("gps week", "week", "gps week number", "week number", "gpsweek")
+#: Names of columns of dates beside times of day.
+_DATE_NAMES = ("date", "utc date", "date utc", "gps date")
 _UNIT_SUFFIXES = (
     "deg",
     "degree",
@@ -908,7 +911,7 @@ _UNIT_SUFFIXES = (
 _CELL = re.compile(r"(?P<name>[^\[(]*)(?:[\[(](?P<unit>[^\])]*)[\])])?")
 _STAMP = re.compile(
     r"(\d{4})[-/](\d{2})[-/](\d{2})[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,9})\d*)?"
-    r"\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
+    r"\s*(Z|UTC|[+-]\d{2}(?::?\d{2})?)?",
     re.ASCII,
 )
 
@@ -934,10 +937,11 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     # The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or
     # ``lat``, ``lon``, ``alt``, ``yaw`` ...) with units, ``roll [degree]``, ``roll (rad)`` or ``roll_deg``,
     # and a time: ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]``
-    # from 1980-01-06, ``time_of_week [s]`` or ``unix_time [s]``. Cells are separated by commas, semicolons or
-    # tabs; an empty cell is NaN, and a row without a time is left out. Other columns are ignored. Comments
-    # ``# key: value`` before the header declare fields of the
-    # `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``, ``leap_seconds`` and ``time_scale``.
+    # from 1980-01-06, ``time_of_week [s]`` (the week may be in a column ``gps_week``), ``unix_time [s]``; or
+    # a ``date`` and a time of day. Cells are separated by commas, semicolons or tabs; an empty cell is NaN,
+    # and a row without a time is left out. Other columns are ignored. Comments ``# key: value`` before the
+    # header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
+    # ``leap_seconds`` and ``time_scale``.
     #
     # names: Headings with units for a table without a header, in the order of its columns; columns to ignore
     #     may have any other name. Cells of such a table may also be separated by blanks.
@@ -976,6 +980,10 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         if number >= first and line.strip() and not line.lstrip().startswith("#")
     )
     table = table_of(path, [column.shown for column in header], rows)
+    # the week may be in a column beside the seconds
+    weeks = next((table.columns[column.shown] for column in header if column.key in _WEEK_NAMES), [])
+    if re.fullmatch(r"\d{1,4}", week := next(filter(None, map(str.strip, weeks)), "")):
+        comments.setdefault("gps_week", week)
     with Problems(f"{path} cannot be used as navigation", FormatError) as problems:
         convention, assumed, clock_settings = _declarations(comments, problems)
         columns = _columns(header, problems)
@@ -1116,6 +1124,10 @@ def _time_column(
     if not first_stamp:
         return stamp, has_time, clock
     if ":" in first_stamp:
+        # times of day, with their dates in another column
+        dates = next((name for name in table.columns if _plain_words(name) in _DATE_NAMES), None)
+        if dates is not None and first_stamp.find(":") < 3:
+            cells = [f"{date.strip()} {cell}" for date, cell in zip(table.columns[dates], cells, strict=True)]
         is_zone_required = not clock and "time_scale" not in clock_settings
         # Nanoseconds since 1970, and the line numbers of unreadable stamps.
         texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
@@ -1130,7 +1142,7 @@ def _time_column(
             )
             if match[8] and match[8][0] in "+-":
                 zone_text = match[8].replace(":", "")
-                minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5])
+                minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5] or 0)
                 shifts[position] = (-minutes if zone_text[0] == "-" else minutes) * 60
         stamps = instants(texts)
         is_unreadable |= np.isnat(stamps)
