@@ -134,7 +134,8 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ``350nm``, ``E_350``; rising or falling), and one row for each sample: a stamp and the values, separated
     by commas, semicolons or tabs; with semicolons and tabs also with decimal commas. A stamp is ISO 8601,
     seconds since 1970, or a date such as ``06/13/2024 10:00:00 AM`` or ``13.06.2024 10:00:00``; dates with
-    slashes need one in the file that is valid in one order alone. Stamps without a zone have that of the
+    slashes need one in the file that is valid in one order alone. A first column without a heading is
+    the time or, before it, an index of pandas. Stamps without a zone have that of the
     heading (``time (UTC+2)``); those of ``gps_time`` are GPS time. A row of units may follow the header;
     columns of temperature and the like are left out with a warning. Either all stamps have a zone
     (``2024-05-21T12:00:00.5Z``), or none has.
@@ -184,14 +185,17 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
                     code="key-repeated",
                 )
             elif line.strip():
-                yield line_number, line.strip()
+                yield line_number, line.strip(" ")
 
     rows = lines()
     separator, header = heading_cells(next(rows, (0, ""))[1])
     while len(header) > 1 and not header[-1]:  # every line ends with separators
         header.pop()
+    # an index of pandas is the time, or stands before it
+    start = int(not header[0] and any(map(TIME_HEADING.fullmatch, header[1:2])))
+    header = ["time", *header[1:]] if header[1:] and not header[0] else header
     # one column of times, or a date and a time
-    time_columns = 1 + sum(TIME_HEADING.fullmatch(cell) is not None for cell in header[1:2])
+    time_columns = 1 + sum(TIME_HEADING.fullmatch(cell) is not None for cell in header[1 : 2 + start])
     headings = [NM_HEADING.fullmatch(_OF_IRRADIANCE.sub("", cell)) for cell in header]
     # a logger may write its temperature beside the time: columns whose headings are words
     columns = [at for at in range(time_columns, len(header)) if _HOUSEKEEPING.search(header[at]) is None]
@@ -223,7 +227,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     left_out = [header[at] for at in range(time_columns, len(header)) if at not in columns]
     warn_if(left_out, f"{name}: columns {', '.join(left_out)} are left out", "column-unknown")
     first_row = next(rows, None)
-    heading = " ".join(header[:time_columns]).lower()
+    heading = " ".join(header[start:time_columns]).lower()
     if first_row is not None:
         units = [cell.strip().strip('"') for cell in first_row[1].split(separator)]
         is_stamp = re.search(r"\d", "".join(units[:time_columns]))
@@ -250,7 +254,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
             code="row-unreadable",
         ):
-            time = _time_of_cell(" ".join(cells[:time_columns]), is_gps)
+            time = _time_of_cell(" ".join(cells[start:time_columns]), is_gps)
             while len(cells) > len(header) and not cells[-1]:
                 cells.pop()
             if len(cells) != len(header):
@@ -325,7 +329,7 @@ def _time_of_cell(text: str, is_gps: bool) -> dt.datetime | LocalStamp:
         seconds = float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0) + is_gps * GPS_EPOCH / 1e9
         return dt.datetime.fromtimestamp(seconds, dt.UTC).replace(tzinfo=None if is_gps else dt.UTC)
     try:
-        time = dt.datetime.fromisoformat(text)
+        time = dt.datetime.fromisoformat(f"{text[:-3].rstrip()}Z" if text.endswith("UTC") else text)
     except ValueError:
         if (stamp := read_stamp(text)) is None:
             raise

@@ -1504,15 +1504,17 @@ NM_HEADING = re.compile(r"[xX]?(\d{1,5}(?:[.,]\d{1,6})?)\s*(?:[(\[]?nm[)\]]?)?",
 def heading_cells(line: str) -> tuple[str, list[str]]:
     # Return the separator of a line of headings, and its cells without quotes.
     separator = max(";\t,", key=line.count)
-    return separator, [cell.strip().strip('"').strip() for cell in line.strip().split(separator)]
+    return separator, [cell.strip().strip('"').strip() for cell in line.strip(" \r\n").split(separator)]
 
 
 def is_logger_csv(lines: Sequence[str]) -> bool:
     # Return whether a text begins as the csv of a logger: times, then wavelengths, below comments.
-    first = next((line for line in lines if line.strip() and not line.lstrip("\ufeff").startswith("#")), "")
-    _, (head, *cells) = heading_cells(first.lstrip("\ufeff"))
+    first, row = [*(line for line in lines if line.strip() and not line.startswith("#")), "", ""][:2]
+    _, (head, *cells) = heading_cells(first)
     if head.lower() == "time":
         return True
+    if not head and cells:  # an index of pandas: the times, or numbers before them
+        head, *cells = ["time", *cells] if re.match(r'"?\d{4}-\d\d-\d\d', row) else cells
     times = [cell for cell in cells[:1] if TIME_HEADING.fullmatch(cell)]
     is_wavelength = bool(cells[len(times) :]) and NM_HEADING.fullmatch(cells[len(times)]) is not None
     return is_wavelength and TIME_HEADING.fullmatch(head) is not None

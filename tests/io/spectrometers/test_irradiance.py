@@ -372,6 +372,28 @@ def test_csv_series(tmp_path):
     assert series["irradiance_max_gap"] == 5.0
 
 
+@pytest.mark.parametrize(
+    ("change", "encoding"),
+    [
+        (lambda text: text.replace("mW m-2 nm-1", "mW/m²/nm"), "cp1252"),
+        (lambda text: text.replace(",", "\t"), "utf-16"),
+        (lambda text: "sep=;\n" + text.replace(",", ";").replace("2.5", "2.5;;"), "utf-8"),
+        (lambda text: text.replace("T12", " 12").replace("Z", " UTC"), "utf-8"),
+        (lambda text: text.replace("time", ""), "utf-8"),
+        (lambda text: text.replace("time", ",time").replace("2024-05", "7,2024-05"), "utf-8"),
+    ],
+)  # fmt: skip
+def test_csv_as_spreadsheets_and_pandas_write_it(
+    change: Callable[[str], str], encoding: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sky.csv").write_bytes(change(CSV.format(z="Z")).encode(encoding))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the little light
+        opened = open_irradiance(tmp_path / "sky.csv")
+    assert opened["irradiance_time"].values[0] == np.datetime64("2024-05-21T12:00:00", "ns")
+    assert opened["irradiance_fwhm"] == 2.5
+
+
 def test_csv_needs_zone_units_and_width(tmp_path):
     path = write_file(tmp_path / "sky.csv", CSV.format(z="").replace("890,", "890,790"))
     expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(path)))
