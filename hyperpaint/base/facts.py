@@ -93,9 +93,10 @@ _WORDS = {
     "watt": "W",
     "mwatt": "mW",
     "uwatt": "uW",
-    "us survey foot": "survey_foot",
-    "us survey feet": "survey_foot",
-    "us-ft": "survey_foot",
+    # names of EPSG, Esri, PROJ and survey software
+    **dict.fromkeys(("us survey foot", "us survey feet", "us_survey_foot", "foot_us"), "survey_foot"),
+    **dict.fromkeys(("us foot", "us feet", "us-ft"), "survey_foot"),
+    **dict.fromkeys(("international foot", "international feet", "foot", "feet", "ft"), "foot"),
     "%": "percent",
     "unitless": "1",
 }
@@ -110,7 +111,9 @@ _RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LOWERED = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
 # pint's parser skips unknown characters, such as a question mark
 _READABLE = re.compile(r"[A-Za-z0-9µμ°ÅÅ%_*/^()+\-.\s]*")
-_WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
+_WORD = re.compile(
+    "|".join(rf"(?<![A-Za-z_]){re.escape(word)}(?![A-Za-z_])" for word in _WORDS), re.IGNORECASE
+)
 
 
 def _plain_powers(text: str) -> str:

@@ -302,9 +302,8 @@ METRES_PER_FOOT = 1200 / 3937
     [
         (160.0, {}, None),
         (160.0, {"crs": compound(5703), "height_reference": "geoid", "geoid_undulation": 0.0}, None),
-        (160 / METRES_PER_FOOT, {"units": "US survey foot"}, None),
-        (160 / METRES_PER_FOOT, {"units": "us-ft"}, None),
-        (160 / 0.3048, {"units": "foot"}, None),
+        *((160 / METRES_PER_FOOT, {"units": text}, None) for text in ("us-ft", "US survey foot", "Foot_US")),
+        *((160 / 0.3048, {"units": text}, None) for text in ("foot", "FEET", "international foot", "Ft")),
         (160 / METRES_PER_FOOT, {"crs": compound(6360)}, "heights-conflict"),
         (160 / METRES_PER_FOOT, {"crs": compound(6360), "units": "us-ft"}, "heights-conflict"),
         (160.0, {"crs": compound(3855)}, "heights-conflict"),
