@@ -322,8 +322,9 @@ def test_heights_are_read_in_the_unit_and_scale_of_the_raster(
     assert [told in str(one.message) for one in recwarn] == ([True] if told else [])
 
 
-def test_a_zero_that_the_reference_system_names_is_taken() -> None:
-    raster = dem(np.full((4, 5), 160.0), crs="EPSG:4979", height_reference=None)
+@pytest.mark.parametrize("crs", ["EPSG:4979", pyproj.CRS("EPSG:32617").to_3d().to_wkt()], ids=["4979", "utm"])
+def test_a_zero_that_the_reference_system_names_is_taken(crs: str) -> None:
+    raster = dem(np.full((4, 5), 160.0), crs=crs, height_reference=None)
     assert grid_of(raster).heights.height_reference == "ellipsoid"
 
 

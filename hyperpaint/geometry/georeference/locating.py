@@ -1396,7 +1396,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         parts = [part for part in system.sub_crs_list if part.is_vertical] or [system]
         axis = next((axis for axis in parts[0].axis_info if axis.direction in ("up", "down")), None)
         if axis is not None:
-            is_ellipsoidal = parts[0].is_geographic or "ellips" in parts[0].name.lower()
+            is_ellipsoidal = not parts[0].is_vertical or "ellips" in parts[0].name.lower()
             sign = -1.0 if axis.direction == "down" else 1.0
             reference = "ellipsoid" if is_ellipsoidal else "geoid"
             vertical = Vertical(parts[0].name, axis.unit_name, sign * axis.unit_conversion_factor, reference)
