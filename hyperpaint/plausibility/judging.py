@@ -122,6 +122,14 @@ RULES = SimpleNamespace(
     strong_step=0.3,
     strong_colour=0.008,
     strong_change=0.07,
+    # Standard deviation of a strong step over bands (with a third of 1), and difference between blocks,
+    # relative to the step and a half [1], below which blocks show the same grey step: edges of grey surfaces
+    # have 0.0065 and more. Number of such blocks from which it is an edge of the slit (2 at most in right
+    # collects, beside wandering shadows), and share of the blocks with any grey step.
+    part_colour=0.004,
+    part_change=0.02,
+    part_blocks=3,
+    part_share=0.75,
     # Minimum number of blocks of lines; wavelength below which surfaces differ in colour [nm], and minimum
     # share of the lit bands below it [1]: one of the eight intervals of bands that are compared.
     step_blocks=4,
@@ -384,6 +392,14 @@ def _swath(name: str, product: Product) -> Iterator["Finding"]:
     is_edge = np.any(
         [(np.abs(size) > least) & (colour < most) & (change < moved) for least, most, moved in limits], axis=0
     )
+    # where edges of the ground coincide with the slit's in a part of the blocks, the others show it
+    is_grey = steps.std(axis=1) < RULES.part_colour * (0.3 + np.abs(blocks))
+    is_alike = np.abs(blocks[:, None] - blocks) < RULES.part_change * (0.5 + np.abs(blocks))
+    alike = (is_alike & is_grey[:, None] & is_grey).sum(axis=0)
+    common = np.take_along_axis(blocks, alike.argmax(axis=0)[None], axis=0)[0]
+    least = np.maximum(RULES.part_blocks, RULES.part_share * is_grey.sum(axis=0))
+    is_part = ~is_edge & (alike.max(axis=0) >= least) & (np.abs(common) > RULES.strong_step)
+    size, is_edge = np.where(is_part, common, size), is_edge | is_part
     column = int(np.argmax(np.where(is_edge, np.abs(size), -1.0)))
     factor = math.exp(float(size[column]))
     found = (

@@ -318,6 +318,14 @@ def _blocked(columns: int, share: float, wander: float = 0.0) -> Product:
     return product._replace(light=product.light * np.exp(np.where(np.arange(COLUMNS) < columns, 0.0, step)))
 
 
+def _partly(columns: int, share: float, clear: int) -> Product:
+    # a blocked slit, along which edges of coloured ground lie in all blocks but `clear` ones
+    product = _blocked(columns, share)
+    edges = np.where(np.arange(8.0) < clear, 0.0, np.arange(8.0) / 8.0)[:, None, None]
+    slope = edges * ((NM - 500.0) / 500.0)[:, None] * (np.arange(COLUMNS) >= columns)
+    return product._replace(light=product.light * np.exp(slope))
+
+
 def _in_bands(bands: slice, factor: float) -> Product:
     product = _product()
     assert product.reflectance is not None
@@ -373,6 +381,8 @@ def _edge(columns: int) -> Product:
         (_blocked(17, 0.3, wander=0.07), {"swath-step"}),
         (_blocked(17, 0.3, wander=0.3), set()),
         (_blocked(17, 0.85, wander=0.07), set()),
+        (_partly(17, 0.5, clear=5), {"swath-step"}),
+        (_partly(17, 0.5, clear=2), set()),
         # a lawn beside asphalt, as a camera of the near infrared records it
         (_blocked(17, 0.5)._replace(wavelength=NM + 320.0, shift=None, reflectance=None), set()),
     ],
