@@ -119,6 +119,8 @@ _MAX_MICROMETRES = 100.0
 #: Ratios of width and wavelength, outside which a width is in another unit, and the factor to the unit of the
 #: wavelengths: resolving powers are above 2, and below 20,000.
 _OTHER_WIDTHS = ((0.5, np.inf, 1e-3), (0.0, 5e-5, 1e3))
+#: Maximum ratio of width and spacing of bands in micrometres.
+_MAX_BANDS_A_WIDTH = 100.0
 
 #: Keys that change the meaning of samples and are not applied.
 _NOT_APPLIED = (
@@ -554,8 +556,12 @@ def _spectral_axis(
     fwhm = nanometres["fwhm"]
     if nanometres["wavelength"] is not None and fwhm is not None:
         centre, width = float(np.median(nanometres["wavelength"])), float(np.median(fwhm))
+        spacing = np.median(np.diff(np.sort(nanometres["wavelength"]))) if fwhm.size > 1 else np.inf
         for low, high, correction in _OTHER_WIDTHS:
-            if centre > 0 and low < width / centre < high and 5e-5 < width * correction / centre < 0.5:
+            # nanometres beside micrometres: fine bands have widths below half the wavelength, too
+            is_many = correction < 1.0 < factor and width > _MAX_BANDS_A_WIDTH * spacing > 0.0
+            is_other = is_many or (centre > 0 and low < width / centre < high)
+            if is_other and 5e-5 < width * correction / centre < 0.5:
                 nanometres["fwhm"] = fwhm * correction
                 reader.note(
                     f"'fwhm' of {width:g} nm at {centre:g} nm: taken as {width * correction:g} nm, in "
