@@ -521,7 +521,7 @@ def facts_of_field_folder(field: "FieldFolder") -> Facts:
         ("lab sweep", relative(field.sweep)),
         ("irradiance", ", ".join(map(relative, field.irradiance)) or "none"),
         ("references", ", ".join(references)),
-        ("not used", "\n".join(field.notes)),
+        ("notes", "\n".join(field.notes)),
         (
             "process",
             f"hyperpaint run {field.folder}"

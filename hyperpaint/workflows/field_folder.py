@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base import (
+    ALONG_TRACK,
     CROSS_TRACK,
     CollectError,
     Floats,
@@ -65,7 +66,18 @@ _STORES = (".zarr", ".nc")
 _SPECTRA = "SVC .sig, ASD .asd, texts of spectrometers, or tables in CSV"
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
 #: Names of cubes of a white tile: Specim's WHITEREF_<scene>, Headwall's whiteReference, a plain white.
-_WHITE = re.compile(r"^white[ _-]*\d*$|(?:^|[^a-z])white[ _-]*(?:ref|tile|panel|cal|standard)", re.IGNORECASE)
+_WHITE = re.compile(
+    r"^(?:white|spectralon)[ _-]*\d*$"
+    r"|(?:^|[^a-z])white[ _-]*(?:ref|tile|panel|cal|standard|board|target|plate)",
+    re.IGNORECASE,
+)
+#: Names of darks: DARKREF_<scene>, darkReference, <scene>_dark, dark_10ms; not darkwood or dark_cars.
+_DARK = re.compile(
+    r"darks?(?:$|[ _-]*(?:ref|cal|frame|current|cube|noise|before|after|start|end|pre|post|\d))",
+    re.IGNORECASE,
+)
+#: Ratio of the bright elements of a cube to those of the darkest cube from which it is no dark.
+_BRIGHT = 2.0
 _HEIGHT = re.compile(r"(?:(?:ellipsoid(?:al)?|ell|wgs84|hae)[ _-]?(?:height|elevation|h)|hae)", re.IGNORECASE)
 
 #: Maximum range of surveyed heights for which their median is taken as the height of the ground: from 50 m, 1
@@ -131,7 +143,7 @@ def find_field_files(
     calibration: str | os.PathLike[str] | None = None,
     references: Sequence[str | os.PathLike[str]] = (),
 ) -> FieldFolder:
-    """Find the files of a field day in a folder, by reading headers and small files, but no cubes.
+    """Find the files of a field day in a folder, by reading headers and small files.
 
     Parameters
     ----------
@@ -155,7 +167,9 @@ def find_field_files(
     Notes
     -----
     ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``,
-    and white references if it is called ``white``, ``WHITEREF_...``, ``whiteReference`` or similar.
+    and white references if it is called ``white``, ``WHITEREF_...``, ``whiteReference``, ``spectralon`` or
+    similar, or ``<scene>_white`` beside the scene. Where other words stand beside ``dark``, as in
+    ``dark_cars``, a cube with twice the counts of the darkest one is a flight line; a note names it.
     ASD files of a folder are irradiance or reflectance by the content of the first.
     """
     folder = input_path(
@@ -165,7 +179,7 @@ def find_field_files(
         "copy its folder; a collect.toml may name files behind URLs",
     )
     notes: list[str] = []
-    raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
+    raw, darks, whites, calibrations, surveys, doubtful = (list[Path]() for _ in range(6))
     # spectra by the file or the pattern of files that names them in the collect.toml
     spectra: dict[Path, list[Path]] = {}
 
@@ -200,9 +214,12 @@ def find_field_files(
                     what = "a product" if is_product else f"{header.dtype}, raw counts are integers"
                     notes.append(f"{relative(path)} is not used: {what}")
                 elif not header.is_spectral_library:
-                    is_dark = any("dark" in part.lower() for part in parts)
-                    is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)
+                    stems = [re.sub(r"\.hdr$", "", part, flags=re.IGNORECASE) for part in parts]
+                    is_white = any(_WHITE.search(stem.split(".")[0]) for stem in stems)
+                    is_dark = any("dark" in stem.lower() for stem in stems)
                     (darks if is_dark else whites if is_white else raw).append(path)
+                    if is_dark and not any(_DARK.search(stem) for stem in stems):
+                        doubtful.append(path)
             elif suffix in (".asd", ".sig") and kind != "dark":
                 spectra.setdefault(path.parent / f"*{path.suffix}", []).append(path)
             # a store with flight lines is a processed collect, not a calibration
@@ -210,6 +227,19 @@ def find_field_files(
                 calibrations.append(path)
             elif not kind and suffix == ".csv" and _SURVEY.search(path.stem):
                 surveys.append(path)
+    # names with "dark" in another word, or beside another one: the counts tell scenes from darks
+    levels = {path: _bright_counts(path) for path in (*raw, *darks) if doubtful}
+    lit = [path for path in doubtful if levels[path] > _BRIGHT * min(levels.values())]
+    raw, darks = [*raw, *lit], [path for path in darks if path not in lit]
+    # white beside a scene of that name, as lot1_white beside lot1; car_white may be a car
+    scenes = {path.stem.lower() for path in raw}
+    named_white = [
+        path for path in raw if re.sub(r"[ _-]+white$", "", path.stem.lower()) in scenes - {path.stem.lower()}
+    ]
+    raw, whites = [path for path in raw if path not in named_white], [*whites, *named_white]
+    for kind, paths in (("flight lines, brighter than darks", lit), ("white references", named_white)):
+        if paths:
+            notes.append(f"{', '.join(map(relative, paths))}: taken as {kind}")
     CollectError.raise_if(
         not raw,
         "; ".join([f"no raw cube in {folder}", *notes]),
@@ -276,6 +306,15 @@ def find_field_files(
         survey=survey,
         notes=tuple(notes),
     )
+
+
+def _bright_counts(header: Path) -> float:
+    # 98th percentile of the counts of 16 lines in the middle of a cube; infinite where it cannot be read
+    with contextlib.suppress(PaintError), warnings.catch_warnings(action="ignore", category=PaintWarning):
+        cube = next(iter(open_envi(header).data_vars.values()))
+        middle = max(cube.sizes[ALONG_TRACK] // 2 - 8, 0)
+        return float(np.quantile(cube.isel({ALONG_TRACK: slice(middle, middle + 16)}).values, 0.98))
+    return math.inf
 
 
 def _flight_cube(header: Path) -> FlightCube:

@@ -683,6 +683,21 @@ def test_products_are_no_raw_cubes(tmp_path: Path, text: str) -> None:
     assert "lot1_product.hdr is not used" in found.notes[0]
 
 
+def test_scenes_whose_names_say_dark_or_white(tmp_path: Path) -> None:
+    scenes = ["car_white", "dark_cars", "darkwood", "lot1"]
+    darks = ["DARKREF_lot1", "dark_10ms", "dark_lot1", "lot1_dark"]
+    whites = ["lot1_WHITE", "spectralon", "white_board"]
+    for level, names in ((0.4, scenes), (0.0, darks), (TILE, whites)):
+        for name in names:
+            write(tmp_path / name, level, "")
+    found = find_field_files(tmp_path)
+    cubes = [cube.header for cube in found.cubes]
+    assert [[path.stem for path in paths] for paths in (cubes, found.darks, found.whites)] == [
+        scenes, darks, whites
+    ]  # fmt: skip
+    assert [name in " ".join(found.notes) for name in ("dark_cars", "darkwood", "lot1_WHITE")] == [True] * 3
+
+
 @pytest.mark.parametrize("clocks", [("09:46:00", "09:47:00", "09:48:00"), ("", "", "")])
 def test_a_folder_of_a_line_scanner_is_processed(tmp_path: Path, clocks: tuple[str, str, str]) -> None:
     capture = tmp_path / "day/lot1/capture"
