@@ -952,9 +952,19 @@ def find(
         row = table[name]
         if name not in dataset.variables:
             shape = ", ".join(row.dims) or "a scalar"
+            # variables of other programs with the dims and unit of a missing coordinate
+            others = [
+                repr(str(other))
+                for other, variable in dataset.variables.items()
+                if row.coordinate
+                and other not in table
+                and variable.dims == row.dims
+                and same_dimension(str(variable.attrs.get("units", "1")), row.units)
+            ]
             problems.append(
                 Problem(
                     f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]",
+                    mend=f"rename {' or '.join(others[:3])} to {name!r}" if others else "",
                     code="variable-missing",
                 )
             )

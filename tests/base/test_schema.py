@@ -129,6 +129,15 @@ def test_require_lists_every_problem() -> None:
     assert message.count("\n") == 4
 
 
+@pytest.mark.parametrize(("units", "is_named"), [("nm", True), ("um", True), ("s", False)])
+def test_a_coordinate_of_another_name_is_named(units: str, is_named: bool) -> None:
+    cube = xr.Dataset(coords={"central_wavelengths": ("band", [500.0, 600.0], {"units": units})})
+    caught = expect_error(
+        SchemaError, "variable-missing", lambda: require(cube, ["wavelength"], "a true-colour picture")
+    )
+    assert ("central_wavelengths" in str(caught)) == is_named
+
+
 def test_times_are_decoded_or_refused() -> None:
     units = {"units": "seconds since 2021-09-27"}
     line = xr.Dataset(coords={"time": ("along_track", [1.5, np.nan], units)})
