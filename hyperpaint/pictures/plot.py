@@ -376,7 +376,14 @@ def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Arra
         mend="outline them as a region",
         code="curve-number",
     )
-    lines, columns = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
+    if absent := [dim for dim in (ALONG_TRACK, CROSS_TRACK) if dim not in dataset.sizes]:
+        problems.add(
+            f"the line has no dim {' and '.join(absent)}, and its pixels have no positions",
+            mend=f"select a list of one: isel({absent[0]}=[5])",
+            code="dim-missing",
+        )
+        return places
+    lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     problems.extend(
         Problem(
             f"pixel ({along}, {across}) is outside the line of {lines} lines and {columns} columns",

@@ -105,8 +105,9 @@ class Plan:
     def warning_of_means(self) -> str:
         # Warn, once per line, of counts that are means; return the text.
         text = (
-            "counts are not whole numbers: means of several readings may hide a saturated one; pixels "
-            "above half of the range are flagged 'saturated'; average reflectance instead of counts"
+            "counts are not whole numbers: means of several readings may hide a saturated one, and from "
+            "counts without their dark it is subtracted twice; pixels above half of the range are flagged "
+            "'saturated'; average reflectance instead of counts, and leave the dark in them"
         )
         warn_user(text, "counts-averaged")
         return text

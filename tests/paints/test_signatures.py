@@ -67,6 +67,13 @@ def test_a_library_is_what_numpy_makes_of_the_pixels() -> None:
         assert np.abs(np.array(expected) - plain).max() > 0.002
 
 
+@pytest.mark.filterwarnings("ignore:.*flags-averaged")
+def test_padded_lines_have_no_members() -> None:
+    line = made()
+    padded = line.assign_coords(along_track=np.arange(line.sizes["along_track"])).pad(along_track=2)
+    assert (extract_signatures(padded, TWO, exclude=0).member_along_track >= -1).all()
+
+
 @pytest.mark.parametrize("factor", [1e4, 1e-4])
 def test_a_scale_that_no_surface_has_is_named(factor: float) -> None:
     line = made()

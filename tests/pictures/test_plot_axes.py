@@ -119,6 +119,7 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
     expect_refusals(
         (SchemaError, ("choice-unknown", "argument-missing"), lambda: spectrum(line, spread="range")),
         (SchemaError, ("pixel-outside",) * 2, lambda: spectrum(line, pixels=outside)),
+        (SchemaError, "dim-missing", lambda: spectrum(line.isel(along_track=5), pixels=[(5, 5)])),
         (SchemaError, "option-conflict", lambda: spectrum(paints, pixels=(0, 0))),
         (
             SchemaError,

@@ -1030,6 +1030,8 @@ class UncoveredError(TimeError):
             if fitting.size:
                 hours = " or ".join(f"{offset:g}" for offset in fitting[:3])
                 mend = f"utc_offset_h = {hours} instead of {zones[0]:g} would fit"
+                if abs(clock) >= 900.0:  # the given offset may be the mistake
+                    mend += f", or clock_offset_s = {clock + least:.0f} to {clock + most:.0f}"
             elif least <= most:
                 mend += f": clock_offset_s = {clock + least:.0f} to {clock + most:.0f} would fit"
             else:

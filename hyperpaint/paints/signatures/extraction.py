@@ -1106,8 +1106,9 @@ class Draft:
         member_along, member_across = along[self._members], across[self._members]
         if self._pixels.cells is self._pixels.pixels:  # in a flight line, not in a map
             rows, columns = (numbers_of(source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
-            member_along = rows.astype(np.int64)[member_along]
-            member_across = columns.astype(np.int64)[member_across]
+            # numbers of padded rows are NaN, and have no members
+            member_along = rows[member_along].astype(np.int64)
+            member_across = columns[member_across].astype(np.int64)
         unknown = np.full(source.cubes["reflectance"].sizes[BAND], np.nan)
         cell_rows = self.cells[0][self._is_used]
         line_values = {name: values[cell_rows] for name, values in lines.items()}

@@ -199,7 +199,7 @@ def test_the_irradiance_is_cut_to_the_line(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("zones", "minutes", "words"),
     [
-        ([-4.0], (60, 80), "utc_offset_h = -3 instead of -4 would fit"),
+        ([-4.0], (60, 80), "utc_offset_h = -3 instead of -4 would fit [time-uncovered]"),
         ([-4.0], (60, 200), "utc_offset_h = -3 or -2 or -1 instead of -4 would fit"),
         ([0.0], (-40, -20), "utc_offset_h = -0.5 instead of 0 would fit"),
         ([-13.5], (-65, -55), "clock_offset_s = 3305 to 3900 would fit"),  # no zone of -14.5 h
@@ -213,11 +213,11 @@ def test_the_clock_that_would_fit_is_told(
     # the record begins or ends some minutes from five seconds of flight
     first, last = (round(60 * value) for value in minutes)
     sky = make_irradiance(first, last + 1, 1).assign_attrs(irradiance_utc_offset_h=zones)
-    expect_error(
-        TimeError,
-        re.escape(words),
-        lambda: cut_irradiance(sky, T0 + np.array([0, 5]) * np.timedelta64(1, "s")),
-    )
+    line_times = T0 + np.array([0, 5]) * np.timedelta64(1, "s")
+    expect_error(TimeError, re.escape(words), lambda: cut_irradiance(sky, line_times))
+    # an offset of the clock that is as large as a zone may be the mistake itself
+    sky = sky.assign_attrs(irradiance_clock_offset_s=3600.0)
+    expect_error(TimeError, "clock_offset_s = |shorter", lambda: cut_irradiance(sky, line_times))
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
