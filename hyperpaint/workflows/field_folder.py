@@ -179,7 +179,8 @@ def find_field_files(
         "copy its folder; a collect.toml may name files behind URLs",
     )
     notes: list[str] = []
-    raw, darks, whites, calibrations, surveys, doubtful = (list[Path]() for _ in range(6))
+    raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
+    doubtful: dict[Path, list[Path]] = {}  # the list of a cube that is no dark
     # spectra by the file or the pattern of files that names them in the collect.toml
     spectra: dict[Path, list[Path]] = {}
 
@@ -216,10 +217,10 @@ def find_field_files(
                 elif not header.is_spectral_library:
                     stems = [re.sub(r"\.hdr$", "", part, flags=re.IGNORECASE) for part in parts]
                     is_white = any(_WHITE.search(stem.split(".")[0]) for stem in stems)
-                    is_dark = any("dark" in stem.lower() for stem in stems)
-                    (darks if is_dark else whites if is_white else raw).append(path)
+                    is_dark, lit = any("dark" in stem.lower() for stem in stems), whites if is_white else raw
+                    (darks if is_dark else lit).append(path)
                     if is_dark and not any(_DARK.search(stem) for stem in stems):
-                        doubtful.append(path)
+                        doubtful[path] = lit
             elif suffix in (".asd", ".sig") and kind != "dark":
                 spectra.setdefault(path.parent / f"*{path.suffix}", []).append(path)
             # a store with flight lines is a processed collect, not a calibration
@@ -229,17 +230,19 @@ def find_field_files(
                 surveys.append(path)
     # names with "dark" in another word, or beside another one: the counts tell scenes from darks
     levels = {path: _bright_counts(path) for path in (*raw, *darks) if doubtful}
-    lit = [path for path in doubtful if levels[path] > _BRIGHT * min(levels.values())]
-    raw, darks = [*raw, *lit], [path for path in darks if path not in lit]
+    for path, lit in doubtful.items():
+        if levels[path] > _BRIGHT * min(levels.values()):
+            darks.remove(path)
+            lit.append(path)
+            kind = "white reference" if lit is whites else "flight line"
+            notes.append(f"{relative(path)} is taken as a {kind}: it is brighter than a dark")
     # white beside a scene of that name, as lot1_white beside lot1; car_white may be a car
     scenes = {path.stem.lower() for path in raw}
-    named_white = [
-        path for path in raw if re.sub(r"[ _-]+white$", "", path.stem.lower()) in scenes - {path.stem.lower()}
-    ]
-    raw, whites = [path for path in raw if path not in named_white], [*whites, *named_white]
-    for kind, paths in (("flight lines, brighter than darks", lit), ("white references", named_white)):
-        if paths:
-            notes.append(f"{', '.join(map(relative, paths))}: taken as {kind}")
+    for path in tuple(raw):
+        if re.sub(r"[ _-]+white$", "", path.stem.lower()) in scenes - {path.stem.lower()}:
+            raw.remove(path)
+            whites.append(path)
+            notes.append(f"{relative(path)} is taken as a white reference")
     CollectError.raise_if(
         not raw,
         "; ".join([f"no raw cube in {folder}", *notes]),

@@ -686,7 +686,7 @@ def test_products_are_no_raw_cubes(tmp_path: Path, text: str) -> None:
 def test_scenes_whose_names_say_dark_or_white(tmp_path: Path) -> None:
     scenes = ["car_white", "dark_cars", "darkwood", "lot1"]
     darks = ["DARKREF_lot1", "dark_10ms", "dark_lot1", "lot1_dark"]
-    whites = ["lot1_WHITE", "spectralon", "white_board"]
+    whites = ["darkroom_white_ref", "lot1_WHITE", "spectralon", "white_board"]
     for level, names in ((0.4, scenes), (0.0, darks), (TILE, whites)):
         for name in names:
             write(tmp_path / name, level, "")
