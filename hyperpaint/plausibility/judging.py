@@ -122,6 +122,10 @@ RULES = SimpleNamespace(
     strong_step=0.3,
     strong_colour=0.008,
     strong_change=0.07,
+    # Minimum of a deep step, and its limit of colour: what is left of the light has errors of the dark. Edges
+    # of grey surfaces along the track have 1.2.
+    deep_step=2.0,
+    deep_colour=0.02,
     # Standard deviation of a strong step over bands (with a third of 1), and difference between blocks,
     # relative to the step and a half [1], below which blocks show the same grey step: edges of grey surfaces
     # have 0.0065 and more. Number of such blocks from which it is an edge of the slit (2 at most in right
@@ -130,6 +134,9 @@ RULES = SimpleNamespace(
     part_change=0.02,
     part_blocks=3,
     part_share=0.75,
+    # Share of the brightest column below which radiance counts as none [1]: columns without any light have
+    # noise around zero.
+    no_light=0.003,
     # Minimum number of blocks of lines; wavelength below which surfaces differ in colour [nm], and minimum
     # share of the lit bands below it [1]: one of the eight intervals of bands that are compared.
     step_blocks=4,
@@ -378,8 +385,9 @@ def _swath(name: str, product: Product) -> Iterator["Finding"]:
         return
     radiance = (light * product.gain)[:, is_lit]
     parts = np.array_split(np.arange(radiance.shape[1]), 8)
+    means = np.stack([np.nanmean(radiance[:, part], axis=1) for part in parts], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.log(np.stack([np.nanmean(radiance[:, part], axis=1) for part in parts], axis=1))
+        logs = np.log(np.maximum(means, RULES.no_light * np.nanmax(means, axis=2, keepdims=True)))
     steps = np.diff(logs, axis=2)  # (block, part, column)
     size = np.median(steps, axis=(0, 1))
     colour, blocks = np.median(steps, axis=0).std(axis=0), np.median(steps, axis=1)
@@ -388,6 +396,7 @@ def _swath(name: str, product: Product) -> Iterator["Finding"]:
     limits = (
         (RULES.step, RULES.step_colour, RULES.step_change),
         (RULES.strong_step, RULES.strong_colour, RULES.strong_change),
+        (RULES.deep_step, RULES.deep_colour, RULES.strong_change),
     )
     is_edge = np.any(
         [(np.abs(size) > least) & (colour < most) & (change < moved) for least, most, moved in limits], axis=0
@@ -400,11 +409,18 @@ def _swath(name: str, product: Product) -> Iterator["Finding"]:
     least = np.maximum(RULES.part_blocks, RULES.part_share * is_grey.sum(axis=0))
     is_part = ~is_edge & (alike.max(axis=0) >= least) & (np.abs(common) > RULES.strong_step)
     size, is_edge = np.where(is_part, common, size), is_edge | is_part
+    # the darker columns: down to the next step up, or up from the last step down
     column = int(np.argmax(np.where(is_edge, np.abs(size), -1.0)))
-    factor = math.exp(float(size[column]))
+    ups, downs = (np.flatnonzero(is_edge & (np.sign(size) == sign)) for sign in (1, -1))
+    if size[column] < 0:
+        ends = ups[ups > column]
+        columns = f"{column + 1} to {ends[0]}" if ends.size else f"from {column + 1} on"
+    else:
+        starts = downs[downs < column]
+        columns = f"{starts[-1] + 1} to {column}" if starts.size else f"up to {column}"
     found = (
-        f"from column {column + 1} on, the swath has {factor:.2f} of the light beside it, alike in all bands "
-        "and lines: a blocked or vignetted slit"
+        f"columns {columns} have {math.exp(-abs(float(size[column]))):.2f} of the light beside them, "
+        "alike in all bands and lines: a blocked or vignetted slit"
         if is_edge.any()
         else "no step between columns is alike in all bands and lines"
     )

@@ -314,7 +314,7 @@ def _product(factor: float = 1.0, white: float = 0.0, **changes: Any) -> Product
 def _blocked(columns: int, share: float, wander: float = 0.0) -> Product:
     # ``wander``: amplitude of the logarithm of the ground's own step there, from block to block
     product = _product()
-    step = np.log(share) + wander * np.cos(np.pi * np.arange(8.0))[:, None, None]
+    step = np.log(max(share, 1e-9)) + wander * np.cos(np.pi * np.arange(8.0))[:, None, None]
     return product._replace(light=product.light * np.exp(np.where(np.arange(COLUMNS) < columns, 0.0, step)))
 
 
@@ -378,6 +378,7 @@ def _edge(columns: int) -> Product:
         (_in_bands(slice(20, 21), 1.15), set()),
         (_blocked(17, 0.5), {"swath-step"}),
         (_blocked(30, 0.88), {"swath-step"}),
+        (_blocked(17, 0.0), {"swath-step"}),
         (_blocked(17, 0.3, wander=0.07), {"swath-step"}),
         (_blocked(17, 0.3, wander=0.3), set()),
         (_blocked(17, 0.85, wander=0.07), set()),
