@@ -318,22 +318,14 @@ class MissingExtraError(PaintError, ImportError):
 
     Examples
     --------
-    >>> print(MissingExtraError.of("pyproj", "geo", "a map"))
-    a map needs pyproj; install it with: python -m pip install 'hyperpaint[geo]' [extra-missing]
+    >>> with needs_extra("unheard_of", "geo", "a map"):
+    ...     import unheard_of
+    Traceback (most recent call last):
+    hyperpaint.base.errors.MissingExtraError: a map needs unheard_of; install it with: ...
     """
 
-    @classmethod
-    def of(cls, package: str, extra: str, purpose: str) -> "MissingExtraError":
-        """Return the error for ``package``, which ``pip install 'hyperpaint[extra]'`` brings."""
-        return cls(
-            f"{purpose} needs {package}",
-            mend=f"install it with: python -m pip install 'hyperpaint[{extra}]'",
-            code="extra-missing",
-        )
 
-
-@contextlib.contextmanager
-def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
+def needs_extra(package: str, extra: str, purpose: str) -> contextlib.AbstractContextManager[None]:
     """Turn the ImportError of a package that an extra installs into a `MissingExtraError`.
 
     Examples
@@ -343,10 +335,12 @@ def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
     Traceback (most recent call last):
     hyperpaint.base.errors.MissingExtraError: a map needs unheard_of; install it with: ...
     """
-    try:
-        yield
-    except ImportError as error:
-        raise MissingExtraError.of(package, extra, purpose) from error
+    return MissingExtraError.instead_of(
+        ImportError,
+        f"{purpose} needs {package}",
+        mend=f"install it with: python -m pip install 'hyperpaint[{extra}]'",
+        code="extra-missing",
+    )
 
 
 class PaintWarning(UserWarning):
