@@ -318,14 +318,22 @@ class MissingExtraError(PaintError, ImportError):
 
     Examples
     --------
-    >>> with needs_extra("unheard_of", "geo", "a map"):
-    ...     import unheard_of
-    Traceback (most recent call last):
-    hyperpaint.base.errors.MissingExtraError: a map needs unheard_of; install it with: ...
+    >>> print(MissingExtraError.of("pyproj", "geo", "a map"))
+    a map needs pyproj; install it with: python -m pip install 'hyperpaint[geo]' [extra-missing]
     """
 
+    @classmethod
+    def of(cls, package: str, extra: str, purpose: str) -> "MissingExtraError":
+        """Return the error for ``package``, which ``pip install 'hyperpaint[extra]'`` brings."""
+        return cls(
+            f"{purpose} needs {package}",
+            mend=f"install it with: python -m pip install 'hyperpaint[{extra}]'",
+            code="extra-missing",
+        )
 
-def needs_extra(package: str, extra: str, purpose: str) -> contextlib.AbstractContextManager[None]:
+
+@contextlib.contextmanager
+def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
     """Turn the ImportError of a package that an extra installs into a `MissingExtraError`.
 
     Examples
@@ -335,12 +343,10 @@ def needs_extra(package: str, extra: str, purpose: str) -> contextlib.AbstractCo
     Traceback (most recent call last):
     hyperpaint.base.errors.MissingExtraError: a map needs unheard_of; install it with: ...
     """
-    return MissingExtraError.instead_of(
-        ImportError,
-        f"{purpose} needs {package}",
-        mend=f"install it with: python -m pip install 'hyperpaint[{extra}]'",
-        code="extra-missing",
-    )
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError.of(package, extra, purpose) from error
 
 
 class PaintWarning(UserWarning):
