@@ -750,7 +750,7 @@ def open_with_settings(
     navigation: dict[Path, Navigation] = {}
     for file in collect.nav:
         with findings.step():
-            navigation[file] = read_imu_gps(file, collect.clock.correction)
+            navigation[file] = read_imu_gps(file, collect.clock.utc_of)
     if (
         collect.irradiance is not None
         and collect.irradiance.on_aircraft

@@ -66,13 +66,14 @@ from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.navigation.navigation_records import (
     ASSUMED,
+    CLOCK_LIMITS,
     NS_PER_S,
     Clock,
-    ClockCorrection,
     Navigation,
     midnight_of,
     read_gps_time,
     read_imu_gps,
+    to_utc,
 )
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance, record_attrs
 
@@ -208,10 +209,9 @@ class Timing:
     gps_leap_seconds: int | None = None
     max_gap_s: float | None = None
 
-    @property
-    def correction(self) -> ClockCorrection:
-        # Correction of the navigation's stamps to UTC.
-        return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
+    def utc_of(self, stamp: Ints) -> Ints:
+        # Return UTC of stamps of the navigation [ns since 1970-01-01].
+        return to_utc(stamp, self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
 
 
 @dataclass(frozen=True)
@@ -290,6 +290,13 @@ def line_times(
     # contradict; stamps of whole seconds.
     with Problems("the clocks of the flight cannot be used as described", TimeError) as problems:
         one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+        one_of(timing.time_scale, ("utc", "gps"), "time_scale", problems=problems)
+        problems.add_if(
+            not abs(timing.clock_offset_s or 0.0) <= CLOCK_LIMITS.max_offset_s,
+            f"clock offset {timing.clock_offset_s} s",
+            expected=f"{-CLOCK_LIMITS.max_offset_s:g} to {CLOCK_LIMITS.max_offset_s:g} s",
+            code="value-out-of-range",
+        )
         exposure_s = float(np.max(exposure_time, initial=0.0))
         problems.add_if(
             exposure_s > _MAX_EXPOSURE_S,
@@ -305,7 +312,7 @@ def line_times(
                 code="value-out-of-range",
             )
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
-    nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
+    nav = read_imu_gps(timing.nav, timing.utc_of) if isinstance(timing.nav, Path) else timing.nav
     if index is None:
         frame = np.arange(lines, dtype=np.int64) + (cube_number(cube) or 0)
         row = np.arange(lines)
@@ -386,7 +393,7 @@ def _clock(
             code="time-missing",
         )
     if index.clock == "time of day" and timing.gps_time is not None:
-        return read_gps_time(timing.gps_time, timing.correction)
+        return read_gps_time(timing.gps_time, timing.utc_of)
     if index.clock == "time of day" and timing.date is not None:
         # midnight of the date on the recording computer's clock
         midnight = TimeError.raise_if_none(
@@ -401,7 +408,7 @@ def _clock(
             mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
             code="clock-offset-missing",
         )
-        return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
+        return _steady(0, int(timing.utc_of(np.array([midnight]))[0]), "date and time of day")
     nav = TimeError.raise_if_none(
         nav,
         f"{cube.name}: {index.name} has no UTC",

@@ -206,28 +206,15 @@ def refuse_backwards(name: str, stamp: Ints, rows: Ints | None = None, row: str 
     )
 
 
-@dataclass(frozen=True)
-class ClockCorrection:
-    # Conversion of the time stamps of a navigation record to UTC.
-    offset_s: float = 0.0  # [s], UTC = stamp + ``offset_s``
-    # Time scale of the stamps; from ``"gps"``, leap seconds are subtracted
-    time_scale: Literal["utc", "gps"] = "utc"
-    leap_seconds: int | None = None  # GPS minus UTC [s]; None takes it from `LEAP_SECONDS`
-
-    def __post_init__(self) -> None:
-        TimeError.raise_if(
-            not abs(self.offset_s) <= CLOCK_LIMITS.max_offset_s,
-            f"clock offset {self.offset_s} s",
-            expected=f"-{CLOCK_LIMITS.max_offset_s:g} to {CLOCK_LIMITS.max_offset_s:g} s",
-            code="value-out-of-range",
-        )
-        one_of(self.time_scale, ("utc", "gps"), "time_scale", error=TimeError)
-
-    def apply(self, stamp: Ints) -> Ints:
-        # Return UTC in nanoseconds since 1970-01-01.
-        if self.time_scale == "gps":
-            stamp = gps_to_utc(stamp, self.leap_seconds)
-        return stamp + round(self.offset_s * NS_PER_S)
+def to_utc(
+    stamp: Ints, offset_s: float, time_scale: Literal["gps", "utc"], leap_seconds: int | None = None
+) -> Ints:
+    # Return UTC [ns since 1970-01-01] of the time stamps of a navigation record, ``stamp`` + ``offset_s``.
+    #
+    # From stamps of the scale ``"gps"``, leap seconds are subtracted: GPS minus UTC [s], by default from
+    # `LEAP_SECONDS`.
+    utc = gps_to_utc(stamp, leap_seconds) if time_scale == "gps" else stamp
+    return utc + round(offset_s * NS_PER_S)
 
 
 @dataclass(frozen=True)
@@ -472,7 +459,7 @@ class Navigation:
         return poses
 
 
-def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
+def read_imu_gps(path: str | Path, utc_of: Callable[[Ints], Ints] = np.asarray) -> Navigation:
     # Read ``imu_gps.txt`` of any of its three generations.
     #
     # All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
@@ -481,7 +468,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     # column ``Heading`` is not published. Rows before the inertial system has aligned (``Roll`` exactly 0)
     # have no attitude, and are dropped if their date disagrees with the other rows.
     #
-    # correction: Conversion of ``Gps_UTC_Date&Time`` to UTC; by default it is UTC.
+    # utc_of: Conversion of ``Gps_UTC_Date&Time`` to UTC; by default it is UTC.
     # Raises FormatError: The file is binary (some systems write another log under this name), lacks columns,
     # or
     #     contains cells that are not numbers, angles or dates.
@@ -527,9 +514,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         offset = utc / 1e9 - next(iter(record.stamps.values())) / 1e6
         keep &= (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
     FormatError.raise_if(not keep.any(), f"{path}: no row with a date", code="date-missing")
-    return replace(
-        record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
-    )._of_rows(keep)
+    return replace(record, utc=utc_of(np.where(keep, utc, utc[keep][0])))._of_rows(keep)
 
 
 def limited_numbers(table: Table, column: str, limit: float, problems: Problems, empty: str = "-") -> Floats:
@@ -583,13 +568,13 @@ def _iso_text(cell: str) -> str:
 # --- gps_time.txt ------------------------------------------------------------------------------------------
 
 
-def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
+def read_gps_time(path: str | Path, utc_of: Callable[[Ints], Ints] = np.asarray) -> Clock:
     # Read ``gps_time.txt``, which relates the recording computer's time of day to the receiver's clock.
     #
     # path: Rows of ``HH:MM:SS <microseconds>``, a tab, date and time. A first line of other content is
     # ignored
     #     as a header.
-    # correction: Conversion of the receiver's stamps to UTC; by default they are UTC.
+    # utc_of: Conversion of the receiver's stamps to UTC; by default they are UTC.
     # Raises FormatError: The file is binary, or rows are not such pairs.
     # Raises TimeError: Stamps repeat or run backwards, or one clock jumps relative to the other.
     path = as_path(path)
@@ -609,8 +594,7 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     )
     columns = {name: [pair[k] for pair in pairs] for k, name in enumerate(("computer", "receiver"))}
     table = Table(path.name, rows, columns)
-    utc = _dates(table, "receiver", np.zeros(len(rows), bool))
-    utc = (correction or ClockCorrection()).apply(utc)
+    utc = utc_of(_dates(table, "receiver", np.zeros(len(rows), bool)))
     return tie_clock(time_of_day(table, "computer")[0], utc, rows, path.name, daily=True)
 
 
@@ -1749,7 +1733,7 @@ class TimeSource:
                  "GPS minus UTC in whole seconds, such as 18", "value-out-of-range"),
                 (self.date is None or self.midnight is not None, f"date {str(self.date)!r:.40}",
                  "a date such as '2024-06-01'", "time-unreadable"),
-                (offset is None or (is_number(offset) and abs(offset) <= 1e9),
+                (offset is None or (is_number(offset) and abs(offset) <= CLOCK_LIMITS.max_offset_s),
                  f"clock_offset_s {offset!r:.40}", "seconds, -1e9 to 1e9", "value-out-of-range"),
             ):  # fmt: skip
                 problems.add_if(not is_valid, found, expected=expected, code=code)
@@ -1812,16 +1796,16 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[Ints, dict[st
     )
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
-    correction = ClockCorrection(source.clock_offset_s or 0.0, scale, leap)
-    utc = correction.apply(stamp)
+    offset_s = source.clock_offset_s or 0.0
+    utc = to_utc(stamp, offset_s, scale, leap)
     attrs["time_scale"] = scale
     if scale == "gps":
-        steps = np.unique((stamp - (utc - round(correction.offset_s * NS_PER_S))) // NS_PER_S)
+        steps = np.unique((stamp - (utc - round(offset_s * NS_PER_S))) // NS_PER_S)
         attrs["leap_seconds"] = int(steps[0]) if steps.size == 1 else ", ".join(map(str, steps.tolist()))
         attrs["leap_seconds_source"] = (
             "given" if source.leap_seconds is not None else record.name if leap is not None else "IERS table"
         )
-    attrs["clock_offset_s"] = float(correction.offset_s)
+    attrs["clock_offset_s"] = float(offset_s)
     return utc, attrs
 
 

@@ -24,11 +24,11 @@ from hyperpaint.io.navigation.navigation_records import (
     LEAP_SECONDS,
     LEAP_SECONDS_EXPIRY,
     Clock,
-    ClockCorrection,
     gps_to_utc,
     read_control_points,
     read_gps_time,
     read_imu_gps,
+    to_utc,
 )
 from hyperpaint.simulation import simulate_collect
 
@@ -1285,12 +1285,10 @@ def test_beyond_the_table_the_user_is_asked() -> None:
     expect_errors((TimeError, "1980", lambda: gps_to_utc(gps_clock("1970-01-01"))))
 
 
-def test_corrections_are_checked() -> None:
+def test_stamps_become_utc() -> None:
     stamp = gps_clock("2024-06-01T12:00:00")
-    assert ClockCorrection(37.25).apply(stamp) == gps_clock("2024-06-01T12:00:37.25")
-    assert ClockCorrection(-0.5, "gps").apply(stamp) == gps_clock("2024-06-01T11:59:41.5")
-    expect_errors((TimeError, "nan", lambda: ClockCorrection(float("nan"))))
-    expect_error(TimeError, "local", lambda: ClockCorrection(0.0, "local"))
+    assert to_utc(stamp, 37.25, "utc") == gps_clock("2024-06-01T12:00:37.25")
+    assert to_utc(stamp, -0.5, "gps") == gps_clock("2024-06-01T11:59:41.5")
 
 
 def test_a_clock_is_exact_to_the_nanosecond_and_extrapolates_nothing() -> None:
