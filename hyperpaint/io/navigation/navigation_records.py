@@ -1969,11 +1969,19 @@ def read_control_points(path: str | Path) -> xr.Dataset:
             code="not-finite",
         )
     problems.raise_if_any()
-    variable_names = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
+    map_unit = "m" if axis is None or axis[1] == 1.0 else axis[0]
+    # variable and unit by the name of a column
+    meanings = {
+        "along_track": ("along_track_pixel", "1"),
+        "cross_track": ("cross_track_pixel", "1"),
+        "east": ("east", map_unit),
+        "north": ("north", map_unit),
+        "height": ("height", "m"),
+    }
     texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}
     points = xr.Dataset(
         {
-            variable_names[name]: ("point", values, {"units": "1" if name.endswith("_track") else "m"})
+            meanings[name][0]: ("point", values, {"units": meanings[name][1]})
             for name, values in numbers.items()
         },
         coords={
@@ -1982,9 +1990,6 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         },
         attrs={"source": path.name},
     )
-    if axis is not None:
-        for name in ("east", "north"):
-            points[name].attrs["units"] = "m" if axis[1] == 1.0 else axis[0]
     return points if crs is None else points.assign_attrs(crs=crs)
 
 
