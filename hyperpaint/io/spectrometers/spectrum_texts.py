@@ -13,7 +13,6 @@ decimal comma, and only a comma *and a blank* separate the items of a list. `DIA
 way to write such a file.
 """
 
-import contextlib
 import datetime as dt
 import json
 import math
@@ -49,6 +48,7 @@ from hyperpaint.base import (
     label,
     listed,
     one_of,
+    same_dimension,
     warn_if,
 )
 from hyperpaint.io.files.reading import (
@@ -1464,12 +1464,11 @@ class SpectrumText(NamedTuple):
                 ),
             ),
         )
-        try:
+        with FormatError.instead_of(
+            UnitsError, f"{self.name}: units of {quantity}: $whole", code="units-unknown"
+        ):
             factor = conversion_factor(file_units or str(units), target_units)
             is_conflict = bool(units) and conversion_factor(str(units), target_units) != factor
-        except UnitsError as error:
-            problem = Problem(f"units of {quantity}: {error.problem.found}", code="units-unknown")
-            raise FormatError(f"{self.name}: {problem.found}", code=problem.code) from error
         refuse(
             self.name,
             (
@@ -1616,8 +1615,7 @@ def read_spectrum_text(path: str | os.PathLike[str]) -> SpectrumText:
         if head_units and not (quantity or units):
             column = column._replace(units=head_units)
             for kind in ("radiance", "irradiance"):
-                with contextlib.suppress(UnitsError):
-                    conversion_factor(head_units, VARIABLES[kind].units)
+                if same_dimension(head_units, VARIABLES[kind].units):
                     column = column._replace(quantity=kind)
         columns.append(column)
     # local time in the head, and local time minus UTC [h]; None where unknown or ambiguous
