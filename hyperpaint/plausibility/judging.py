@@ -774,35 +774,30 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
         np.linspace(0, total - size, min(SAMPLE_RULES.blocks, max(1, total // size))).astype(int)
     )
     shape = counts.shape[1:]
-    sums = np.zeros(shape)
-    maximum, minimum = np.full(shape, -np.inf), np.full(shape, np.inf)
-    lines, divisor = 0, 0
-    steps: list[Floats] = []
-    means: list[Floats] = []
+    found: list[tuple[Any, ...]] = []  # statistics of every block
     edges = sorted({0, 1, shape[1] - 2, shape[1] - 1} & {*range(shape[1])})
     for start in starts.tolist():
         block = counts[start : start + size].to_numpy()[recorded[start : start + size]]
-        if not len(block):
-            continue
-        lines += len(block)
-        block_sum = block.sum(axis=0, dtype=np.float64)
-        means.append(block_sum / len(block))
-        sums += block_sum
-        maximum, minimum = np.maximum(maximum, block.max(axis=0)), np.minimum(minimum, block.min(axis=0))
-        divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
-        steps.append(np.diff(block[:, :, edges].astype(np.float64), axis=0))
-    if not lines:
+        if len(block):
+            ends, divisor = (block.max(axis=0), block.min(axis=0)), np.gcd.reduce(block, axis=None)
+            step = np.diff(block[:, :, edges].astype(np.float64), axis=0)
+            found.append((len(block), block.sum(axis=0, dtype=np.float64), *ends, divisor, step))
+    if not found:
         return None
+    counts_of, sums, maxima, minima, divisors, steps = zip(*found, strict=True)
+    lines, divisor = sum(counts_of), int(np.gcd.reduce(divisors))
+    maximum = np.max(maxima, axis=0).astype(np.float64)
     # a counter or a time stamp goes on by the same step from line to line, except where it begins anew
     step = np.concatenate(steps)
-    counters, stuck, change = np.zeros(shape, bool), np.zeros(shape, bool), maximum - minimum
+    counters, stuck, change = np.zeros(shape, bool), np.zeros(shape, bool), maximum - np.min(minima, axis=0)
     if len(step) >= SAMPLE_RULES.counter_lines:
         usual = np.median(step, axis=0)
         is_usual = np.abs(step - usual) <= SAMPLE_RULES.counter_spread * np.abs(usual)
         beside = np.minimum(change[:, :-2], change[:, 2:])
         stuck[:, 1:-1] = (change[:, 1:-1] == 0.0) & (beside >= SAMPLE_RULES.stuck_range * divisor)
         counters[:, edges] = (usual != 0) & (is_usual.mean(axis=0) >= SAMPLE_RULES.counter_share)
-    return CubeSample(lines, sums / lines, maximum, divisor, counters, np.stack(means), stuck)
+    means = np.stack([total / count for total, count in zip(sums, counts_of, strict=True)])
+    return CubeSample(lines, sum(sums) / lines, maximum, divisor, counters, means, stuck)
 
 
 # -- Check the order of the bands by the solar lines and absorption bands in the cube.
@@ -912,13 +907,14 @@ def judge_bands(
         return
     # correlations of reversed bands, rotated bands, and other wavelengths
     orders = {"reversed": float(_correlation(curvature[::-1], expected_curvature))}
-    for shift in range(1, wavelength.size):
-        if min(shift, wavelength.size - shift) * spacing >= BAND_RULES.shift_nm:
-            # report a rotation by more than half of the bands as one in the opposite direction
-            rotation = shift if shift <= wavelength.size // 2 else shift - wavelength.size
-            orders[f"shifted by {-rotation} bands"] = float(
-                _correlation(np.roll(curvature, -shift), expected_curvature)
-            )
+    half = wavelength.size // 2
+    orders |= {
+        f"shifted by {-rotation} bands": float(
+            _correlation(np.roll(curvature, -rotation), expected_curvature)
+        )
+        for rotation in (*range(1, half + 1), *range(half + 1 - wavelength.size, 0))
+        if abs(rotation) * spacing >= BAND_RULES.shift_nm
+    }
     orders |= _agreements(_curvature(light * gain), wavelength, irradiance_at)
     inverted = _agreements(-_curvature(light * gain), wavelength, irradiance_at)
     order, best_agreement = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
