@@ -451,19 +451,8 @@ def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
 _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 
 
-@dataclass(frozen=True)
-class Names:
-    # Names of one spectrum
-    shown: str  #: Name in results.
-    #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
-    #: other folders may share. A match of one rank excludes matches of later ranks.
-    ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
-    #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
-    origin: tuple[int, str]
-
-
-def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> Names:
-    """Return the names of a spectrum of a field spectrometer.
+def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> dict[str, Any]:
+    """Return the names of a spectrum of a field spectrometer, by the fields of `Measured`.
 
     ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``further``: a
     further name; any of these may be empty. ``number``: number of the spectrum in its dataset; ``dataset``:
@@ -472,7 +461,7 @@ def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dat
     Examples
     --------
     >>> names = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
-    >>> [sorted(rank) for rank in names.ranks], names.origin
+    >>> [sorted(rank) for rank in names["ranks"]], names["origin"]
     ([['site1/red', 'site1/red.sig'], [], ['red', 'red.sig']], (1, 'site1/'))
     """
     base = PurePath(spectrum).name
@@ -483,7 +472,8 @@ def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dat
     # readers number equal names in one folder, such as "red (1)" of red.sig: these are not repeats either
     numbered = base if source and base not in set(_aliases(source)) else ""
     shown = spectrum or source or further or f"spectrum {number}"
-    return Names(shown, (full, no_suffix, aliases - full - no_suffix), (dataset, folder + numbered))
+    ranks = (full, no_suffix, aliases - full - no_suffix)
+    return {"name": shown, "ranks": ranks, "origin": (dataset, folder + numbered)}
 
 
 def _aliases(text: str) -> Iterator[str]:
@@ -512,7 +502,12 @@ def _without_suffix(name: str) -> Iterator[str]:
 @dataclass(frozen=True, eq=False)
 class Measured:
     # One spectrum of reflectance with its origin and uncertainty.
-    names: Names  #: Names for pairing, and the origin.
+    name: str  #: Name in results.
+    #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
+    #: other folders may share. A match of one rank excludes matches of later ranks.
+    ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
+    #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
+    origin: tuple[int, str]
     reference_name: str  #: Name of the reference in the properties of a signature; empty without it.
     instrument: str  #: Make of the instrument.
     serial: str  #: Serial number of the instrument, or a similar text; may be empty.
@@ -540,11 +535,6 @@ class Measured:
     )
     place: Place = None  #: Latitude and longitude of the measured surface [degree]; None if unknown.
     sun_zenith: float = np.nan  #: Zenith angle of the sun [degree]; NaN if unknown.
-
-    @property
-    def name(self) -> str:
-        # Name in results.
-        return self.names.shown
 
     @property
     def has_uncertainty(self) -> bool:
@@ -904,7 +894,9 @@ def _library_spectra(
             values[number],
             spreads,
             next((count for count in counts if np.isfinite(count)), None),
-            names=Names(str(name), (frozenset({str(name)}), frozenset(), frozenset()), (dataset_number, "")),
+            name=str(name),
+            ranks=(frozenset({str(name)}), frozenset(), frozenset()),
+            origin=(dataset_number, ""),
             reference_name=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or default_instrument,
             serial="",
@@ -987,7 +979,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             spectrum,
             {name: array[number] for name, array in spreads.items()},
             None if count is None else float(count),
-            names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
+            **names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
             reference_name="",
             instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
@@ -1336,7 +1328,7 @@ def paired(
         with Problems("pairs= cannot be used", SchemaError) as pair_problems:
             paints = {signature.name for signature in signatures}
             known_names = frozenset[str]().union(
-                *(rank for reference in references for rank in reference.names.ranks)
+                *(rank for reference in references for rank in reference.ranks)
             )
             names_of_paint = {}
             for paint, value in pairs.items():
@@ -1435,16 +1427,15 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
         matches |= grouped(
             (reference.instrument, k)
             for k, reference in enumerate(references)
-            if name in reference.names.ranks[rank] and reference.instrument not in matches
+            if name in reference.ranks[rank] and reference.instrument not in matches
         )
     for instrument, numbers in matches.items():
-        origins = {references[k].names.origin for k in numbers}
+        origins = {references[k].origin for k in numbers}
         if len(origins) > 1:
             in_datasets = len({dataset for dataset, _ in origins}) > 1
             candidates = _listed(
                 [
-                    references[k].name
-                    + (f" (dataset {references[k].names.origin[0]})" if in_datasets else "")
+                    references[k].name + (f" (dataset {references[k].origin[0]})" if in_datasets else "")
                     for k in numbers
                 ]
             )
@@ -1465,7 +1456,7 @@ def _listed(names: Sequence[str]) -> str:
 def _mean_reference(pair: Pair) -> Measured:
     # Mean of the readings of a pair, on the channels of the first reading, under the name of the paint
     first = pair.references[0]
-    renamed = replace(first, names=replace(first.names, shown=pair.signature.name))
+    renamed = replace(first, name=pair.signature.name)
     if len(pair.references) == 1:
         return renamed
     operators = [operator_onto(first, reading) for reading in pair.references]
