@@ -945,18 +945,12 @@ def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.
         count = lost[number]
         # Blank lines for frames lost after a cube, without time and position; frame numbers continue
         blank = previous.isel({ALONG_TRACK: [-1] * count})
+        blank["frame"] += np.arange(1, count + 1)
         for name, variable in previous.variables.items():
-            filled = blank[name]
-            if ALONG_TRACK not in variable.dims or name == "exposure_time":
-                continue
-            if name == "frame":
-                filled = filled + np.arange(1, count + 1)
-            elif name == "counts":
-                filled = xr.full_like(filled, BLANK_COUNT)
-            else:
-                empty: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
-                filled = xr.full_like(filled, empty)
-            blank[name] = filled.variable
+            if ALONG_TRACK in variable.dims and name not in ("frame", "exposure_time"):
+                missing: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
+                empty = BLANK_COUNT if name == "counts" else missing
+                blank[name] = xr.full_like(blank[name], empty).variable
         pieces.insert(number + 1, blank)
     joined: xr.Dataset = xr.concat(
         pieces,
