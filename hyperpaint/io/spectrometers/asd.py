@@ -78,7 +78,7 @@ from .spectrum_texts import (
 
 Kind = Literal["binary", "text", "table", "scans", "instrument", "csv", "unknown"]
 
-_TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
+_ENDINGS = re.compile(r"(\.(asd|txt|tsv|csv))+\Z", re.I)
 _AGAIN = "copy the file again from the instrument"
 
 
@@ -1206,12 +1206,10 @@ def open_asd(
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     # names: columns of a text export, or else file names; ViewSpec adds endings: paint.asd.txt
-    names = []
-    for spectrum in spectra:
-        name = spectrum.source.rpartition(":")[2]
-        while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):
-            name = name[:-4]
-        names.append((spectrum.path or Path(spectrum.source), name))
+    names = [
+        (spectrum.path or Path(spectrum.source), _ENDINGS.sub("", spectrum.source.rpartition(":")[2]))
+        for spectrum in spectra
+    ]
     coords: dict[str, Any] = {
         "spectrum": (
             "spectrum",
@@ -1225,14 +1223,14 @@ def open_asd(
         ),
         "time": ("spectrum", times[order], {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
-    }
-    for name in ("latitude", "longitude", "altitude"):
-        positions = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
-        coords[name] = (
+    } | {
+        name: (
             "spectrum",
-            np.array(positions, np.float64),
+            np.array([np.nan if s.gps is None else getattr(s.gps, name) for s in spectra], np.float64),
             {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"},
         )
+        for name in ("latitude", "longitude", "altitude")
+    }
     extra = {}
     if quantity == "reflectance":
         panels = sorted({spectrum.panel for spectrum in spectra} - {""})

@@ -1092,11 +1092,14 @@ def _coords_of_scans(
             found |= {(reason, file.name): None for reason, applies in reasons.items() if applies}
     for (text, code), names in grouped(found).items():
         warn_of(text, names, code)
-    coords: dict[str, Any] = {}
-    for scan in scans:
-        meaning = f"UTC of the scan of the {'white reference' if scan == 0 else 'target'}"
-        name = "time" if scan == scans[0] else "reference_time"
-        coords[name] = ("spectrum", times[scan], {"long_name": meaning})
+    coords: dict[str, Any] = {
+        "time" if scan == scans[0] else "reference_time": (
+            "spectrum",
+            times[scan],
+            {"long_name": f"UTC of the scan of the {'white reference' if scan == 0 else 'target'}"},
+        )
+        for scan in scans
+    }
     # positions by the GPS
     positions = [position_of(file.header, scans[0]) for file in files]
     warn_of(
