@@ -351,14 +351,16 @@ def _window(
     longitude_factor = (
         1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
     )
-    ranges = []
-    for values, size, cells in (
-        (row, raster.height, reach / abs(raster.transform.e)),
-        (column, raster.width, reach * longitude_factor / abs(raster.transform.a)),
-    ):
-        first = max(int(values.min() - cells) - _WINDOW.border_cells, 0)
-        ranges.append((first, min(int(values.max() + cells) + _WINDOW.border_cells + 1, size)))
-    (top, bottom), (left, right) = ranges
+    (top, bottom), (left, right) = (
+        (
+            max(int(values.min() - cells) - _WINDOW.border_cells, 0),
+            min(int(values.max() + cells) + _WINDOW.border_cells + 1, size),
+        )
+        for values, size, cells in (
+            (row, raster.height, reach / abs(raster.transform.e)),
+            (column, raster.width, reach * longitude_factor / abs(raster.transform.a)),
+        )
+    )
     FormatError.raise_if(
         (bottom - top) * (right - left) > _SIZES.max_window_cells,
         f"{subject}, {bottom - top} x {right - left} of them around this flight",
@@ -366,7 +368,7 @@ def _window(
         mend="resample it with gdalwarp -tr",
         code="file-too-large",
     )
-    return ranges[0], ranges[1]
+    return (top, bottom), (left, right)
 
 
 # --- rasters -----------------------------------------------------------------------------------------------
@@ -486,16 +488,14 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
         corners_and_steps: list[float] = []
         for name, by_column, by_row in (("east", b, c), ("north", e, f)):
             plane = dataset[name].transpose("y", "x")
-            steps = []
-            for values, single in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
-                step, deviation = _step_and_deviation(values, single)
-                SchemaError.raise_if(
-                    not deviation <= tolerance,
-                    f"the position of this map is unknown: {name!r} is not evenly spaced",
-                    mend="choose cells at even steps",
-                    code="spacing-uneven",
-                )
-                steps.append(step)
+            along_row = _step_and_deviation(plane[0].values, by_column)
+            steps, deviations = zip(along_row, _step_and_deviation(plane[:, 0].values, by_row), strict=True)
+            SchemaError.raise_if(
+                not all(deviation <= tolerance for deviation in deviations),
+                f"the position of this map is unknown: {name!r} is not evenly spaced",
+                mend="choose cells at even steps",
+                code="spacing-uneven",
+            )
             corners_and_steps += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
         a, b, c, d, e, f = corners_and_steps
         computed = a, b, c, d, e, f
