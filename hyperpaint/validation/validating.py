@@ -262,14 +262,19 @@ class Validation:
     @property
     def problems(self) -> tuple[str, ...]:
         """Pairs outside of the tolerance or impossible to judge, and missing references, one text each."""
-        failures = []
-        paints, references, instruments = map(self._texts, ("signature", "reference", "instrument"))
-        for row, within in enumerate(self.statistics["passes"].values):
-            texts = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
-            if texts:
-                pair = f"{paints[row]} against {references[row]} of {instruments[row]}"
-                failures.append(f"{pair}: {', '.join(texts)}")
-        return (*failures, *(f"{name}: its reference is missing" for name in self.missing))
+        failures = (
+            ", ".join(self._failure(row, int(column)) for column in np.flatnonzero(~within))
+            for row, within in enumerate(self.statistics["passes"].values)
+        )
+        names = map(self._texts, ("signature", "reference", "instrument"))
+        return (
+            *(
+                f"{paint} against {reference} of {instrument}: {failure}"
+                for paint, reference, instrument, failure in zip(*names, failures, strict=True)
+                if failure
+            ),
+            *(f"{name}: its reference is missing" for name in self.missing),
+        )
 
     def _failure(self, row: int, column: int) -> str:
         # Name of a part, with the reason where it cannot be judged
@@ -1704,10 +1709,11 @@ def compare(pair: Pair, seed: int) -> Compared:
     # The common bands are the channels of the coarser spectrum.
     # This is the signature, unless every reference is coarser in the common range.
     low, high = pair.signature.wavelength[[0, -1]]
-    widths = []
-    for reference in references:
-        in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
-        widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
+    common_widths = (
+        reference.fwhm[(reference.wavelength >= low) & (reference.wavelength <= high)]
+        for reference in references
+    )
+    widths = [np.median(fwhm) if fwhm.size else 0.0 for fwhm in common_widths]
     is_coarser = min(widths) > _SAME_AXIS.max_equal_width_ratio * np.median(pair.signature.fwhm)
     bands = references[0] if is_coarser else pair.signature
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
