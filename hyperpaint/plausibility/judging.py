@@ -1233,11 +1233,10 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
     count = min(size, 4 + FRAME_RULES.samples // width)
     centre = slice((size - count) // 2, (size + count) // 2)  # contiguous in the file: one read a line
     rows = counts.isel({counts.dims[axis]: centre})
+    starts = range(0, rows.shape[0] - 1, FRAME_RULES.block)
+    blocks = (rows[start : start + FRAME_RULES.block + 1].to_numpy() for start in starts)
     # Share of samples that are equal to the line before, (along_track - 1,)
-    shares: list[Array] = []
-    for start in range(0, rows.shape[0] - 1, FRAME_RULES.block):
-        values = rows[start : start + FRAME_RULES.block + 1].to_numpy()
-        shares.append((values[1:] == values[:-1]).mean(axis=(1, 2)))
+    shares = [(block[1:] == block[:-1]).mean(axis=(1, 2)) for block in blocks]
     equal_shares = np.concatenate([*shares, np.zeros(0)])[recorded[1:] & recorded[:-1]]
     doubled = equal_shares == 1.0
     if not doubled.any():
