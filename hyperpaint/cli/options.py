@@ -264,10 +264,11 @@ class Settings(click.Option):
 
     def __init__(self, parameters: Mapping[str, Parameter]) -> None:
         self.helps = {name: parameter.help for name, parameter in parameters.items()}
-        self.types = {}
-        for name, parameter in parameters.items():
-            kind = {"type": click.BOOL} if parameter.kind.get("is_flag") else parameter.kind
-            self.types[name] = click.Option([f"--{name}"], **kind)
+        kinds = {name: parameter.kind for name, parameter in parameters.items()}
+        self.types = {
+            name: click.Option([f"--{name}"], **({"type": click.BOOL} if kind.get("is_flag") else kind))
+            for name, kind in kinds.items()
+        }
         names = ", ".join(self.types) if len(self.types) < MAX_LISTED else "any effect"
         super().__init__(
             ["--set", "settings"],
