@@ -195,10 +195,10 @@ def write_signatures(
                     option="--no-flags extracts without them",
                 )
                 raise
-    origins = dict.fromkeys(lines, NOT_DETECTED)
-    for name in stored & set(lines):
-        text = lines[name]["quality"].attrs.get("flags_from", "not said from what")
-        origins[name] = f"those of the store, {text}"
+    origins = dict.fromkeys(lines, NOT_DETECTED) | {
+        name: f"those of the store, {lines[name]['quality'].attrs.get('flags_from', 'not said from what')}"
+        for name in stored & set(lines)
+    }
     found = {name: new.line for name, new in new_flags.items() if name not in stored}
     origins |= {name: str(line["quality"].attrs["flags_from"]) for name, line in found.items()}
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])

@@ -564,10 +564,11 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
             mend="give each its own name",
             code="name-duplicate",
         )
-    suns = set()
-    for entry in entries:
-        zenith, azimuth = PRESETS.get(entry.preset or "", PRESETS["noon"])
-        suns.add((entry.options.get("sun_zenith", zenith), entry.options.get("sun_azimuth", azimuth)))
+    suns = {
+        (entry.options.get("sun_zenith", zenith), entry.options.get("sun_azimuth", azimuth))
+        for entry in entries
+        for zenith, azimuth in [PRESETS.get(entry.preset or "", PRESETS["noon"])]
+    }
     reader.problems.add_if(
         len(suns) > MAX_SUNS,
         f"[[atmospheres]] have {len(suns)} suns",
@@ -1469,11 +1470,10 @@ def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -
 
 def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
     # Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>".
-    libraries = []
-    for key, value in spectra.items():
-        if hasattr(value, "data_vars"):
-            names = [str(name) for name in value["signature"].values]
-            libraries.append(value.assign_coords(signature=[f"{key}/{name}" for name in names]))
-            if len(names) == 1:
-                libraries.append(value.assign_coords(signature=[key]))
-    return libraries
+    return [
+        value.assign_coords(signature=names)
+        for key, value in spectra.items()
+        if hasattr(value, "data_vars")
+        for names in ([f"{key}/{name}" for name in value["signature"].values], [key])
+        if len(names) == value.sizes["signature"]
+    ]
