@@ -837,6 +837,12 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
     )
 
 
+def good_bands(dataset: xr.Dataset) -> Bools:
+    # Return which bands are good (band,): all bands of a dataset without ``good``
+    good = dataset.variables.get("good")
+    return np.ones(dataset.sizes.get(BAND, 1), bool) if good is None else np.asarray(good.values, bool)
+
+
 def label_digest(line: xr.Dataset, dims: tuple[str, ...] = _PIXEL) -> str:
     # Return a digest of the labels of lines and columns, which tells crops and other orders of a line apart.
     #

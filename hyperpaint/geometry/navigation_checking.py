@@ -43,6 +43,7 @@ from hyperpaint.base import (
     UnitsError,
     conversion_factor,
     documented,
+    good_bands,
     require,
     takes_quantities,
 )
@@ -380,8 +381,7 @@ def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
             if "wavelength" in line.variables:
                 wavelength = np.asarray(line["wavelength"].values, np.float64)
                 is_inside = (wavelength >= _WAVELENGTHS_NM[0]) & (wavelength <= _WAVELENGTHS_NM[1])
-                if "good" in line.variables:
-                    is_inside &= np.asarray(line["good"].values, bool)
+                is_inside &= good_bands(line)
                 bands = np.flatnonzero(is_inside) if is_inside.any() else bands
             positions = np.linspace(0, bands.size - 1, min(_MAX_BANDS, bands.size))
             bands = bands[np.unique(np.round(positions).astype(np.int64))]

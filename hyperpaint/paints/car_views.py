@@ -112,8 +112,7 @@ def join_views(library: xr.Dataset, *, distance: float = 1.2) -> xr.Dataset:
         library, ["reflectance", "aspecular_angle"], "the views of cars", LIBRARY_VARIABLES
     )
     spectra = variables["reflectance"].transpose(SIGNATURE, BAND).values.astype(np.float64)
-    if "good" in library.variables:
-        spectra = np.where(library["good"].values.astype(bool), spectra, np.nan)
+    spectra = np.where(schema.good_bands(library), spectra, np.nan)
     angle, names = variables["aspecular_angle"].values, library[SIGNATURE].values
     # a signature without values takes no part in decisions
     level = finite_mean(spectra, axis=1)

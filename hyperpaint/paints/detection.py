@@ -610,9 +610,7 @@ def _spectra(
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     warn_of_scale(paints, "the reflectance of the library at the bands of the line")
-    good = np.isfinite(nm)
-    if "good" in line.variables:
-        good &= line["good"].values.astype(bool)
+    good = np.isfinite(nm) & schema.good_bands(line)
     bands = np.flatnonzero(good & np.isfinite(paints).all(axis=0) if len(paints) else good & False)
     SchemaError.raise_if(
         bands.size < MIN_BANDS,

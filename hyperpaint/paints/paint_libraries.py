@@ -76,9 +76,7 @@ def paint_colours(paints: xr.Dataset) -> Floats32:
     (0, (3,))
     """
     variables = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
-    values = variables["reflectance"].values
-    if "good" in paints.variables:
-        values = np.where(paints["good"].values.astype(bool), values, np.nan)
+    values = np.where(schema.good_bands(paints), variables["reflectance"].values, np.nan)
     try:
         return np.asarray(srgb(values, variables["wavelength"].values), np.float32)
     except SchemaError:  # fewer than three visible bands
@@ -216,9 +214,7 @@ def search_library(
     if like is not None:
         # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
         nm = np.asarray(variables["wavelength"].values, np.float64)
-        spectrum = one_spectrum(library, like, nm)
-        if "good" in library.variables:
-            spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
+        spectrum = np.where(schema.good_bands(library), one_spectrum(library, like, nm), np.nan)
         SchemaError.raise_if(
             np.isfinite(spectrum).sum() < MIN_BANDS,
             f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "

@@ -34,6 +34,7 @@ from hyperpaint.base import (
     StoreError,
     as_path,
     documented,
+    good_bands,
     is_plain_file,
     needs_extra,
     one_of,
@@ -59,7 +60,6 @@ from .figures import map_dims, orientation_of
 from .plot import (
     STRETCH,
     flag_label,
-    good_bands,
     linear_srgb,
     percent,
     quantity_label,

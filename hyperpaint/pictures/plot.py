@@ -36,6 +36,7 @@ from hyperpaint.base import (
     flag_names,
     flag_shares,
     flags_named,
+    good_bands,
     grouped,
     has_own_overview,
     is_number,
@@ -348,12 +349,6 @@ def _draw_paint(
         centre, sd = paint["reflectance"].values, paint["reflectance_sd"].values
         axes.fill_between(wavelength, centre - sd, centre + sd, where=is_good, color=colour, alpha=0.25, lw=0)
     draw_curve(axes, wavelength, np.where(is_good, paint["reflectance"].values, np.nan), style, label)
-
-
-def good_bands(dataset: xr.Dataset) -> Array:
-    # Return which bands are good (band,): all bands for a dataset without ``good``
-    good = dataset.variables.get("good")
-    return np.ones(dataset.sizes[BAND], bool) if good is None else np.asarray(good.values, bool)
 
 
 # --- pixels ------------------------------------------------------------------------------------------------

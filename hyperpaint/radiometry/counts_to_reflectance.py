@@ -37,6 +37,7 @@ from hyperpaint.base import (
     SchemaError,
     dtype_of,
     flags_set_from,
+    good_bands,
     label,
     refuse_other_labels,
     rename_to_roles,
@@ -372,7 +373,7 @@ class _White(NamedTuple):
 
     def check(self, limit: Any, line: xr.Dataset, problems: Problems) -> None:
         name, frames = f"white {self.reference.name}", self.reference.frames
-        good = line["good"].values if "good" in line.coords else np.ones(len(self.light), bool)
+        good = good_bands(line)
         share = float(self.saturated(limit)[good].mean())
         problems.add_if(
             share > TILE.max_saturated_share,
