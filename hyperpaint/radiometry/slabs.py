@@ -45,7 +45,7 @@ class PanelClosure(NamedTuple):
     # Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,).
     scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
     factor: Floats  # Measured over expected [1]
-    u: Floats  # Combined standard uncertainty of the factor [1]
+    factor_u: Floats  # Combined standard uncertainty of the factor [1]
     mean_u: Floats  # Relative standard uncertainty of the mean over pixels [1]
     used: Floats  # Share of pixels used [1]
     state: Array
@@ -102,15 +102,14 @@ class Plan:
     panel_u: Floats | None = None
 
     @functools.cached_property
-    def warning_of_means(self) -> str:
-        # Warn, once per line, of counts that are means; return the text.
-        text = (
+    def warning_of_means(self) -> None:
+        # Warn, once per line, of counts that are means.
+        warn_user(
             "counts are not whole numbers: means of several readings may hide a saturated one, and from "
             "counts without their dark it is subtracted twice; pixels above half of the range are flagged "
-            "'saturated'; average reflectance instead of counts, and leave the dark in them"
+            "'saturated'; average reflectance instead of counts, and leave the dark in them",
+            "counts-averaged",
         )
-        warn_user(text, "counts-averaged")
-        return text
 
     def light(self, start: int, stop: int) -> Array:
         # Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32.
@@ -249,13 +248,12 @@ def panel_result(plan: Plan, name: str) -> Array:
     # Results have the dtypes of the table of variables.
     assert plan.closure is not None
     if name == "weight":
-        array: Array = np.zeros((plan.rate.size, len(plan.closure.reasons)))
+        array: Any = np.zeros((plan.rate.size, len(plan.closure.reasons)))
         array[:, [not reason for reason in plan.closure.reasons]] = (
             1.0 if plan.panel_weights is None else plan.panel_weights
         )
     else:
-        names: dict[str, Any] = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
-        array = names[name] if name in names else getattr(plan.closure, name)
+        array = plan.panel_u if name == "scale_u" else getattr(plan.closure, name)
     return array.astype(np.float32) if array.dtype == np.float64 else array
 
 
