@@ -533,6 +533,15 @@ def _chi_square(
     return chi, log_norm
 
 
+def _evidence_of(chi: Floats, log_norm: float) -> tuple[Floats, Floats, Floats]:
+    # Return the logarithm of the evidence of draws of equal weight (sample,) from chi-square (sample, draw);
+    # likelihoods relative to the best draw (sample, draw), and their sum (sample,).
+    lowest = chi.min(axis=1)
+    weight = np.exp(-0.5 * (chi - lowest[:, None]))
+    total = weight.sum(axis=1)
+    return np.log(total / chi.shape[1]) - 0.5 * lowest - log_norm, weight, total
+
+
 def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, ...]:
     # Return the posterior by sample, width of the level (calibrated or not) and kind of sky (sample, width,
     # kind ...): logarithm of the evidence; mean of the diffuse fraction (..., node), of its square, and of
@@ -562,10 +571,7 @@ def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> tuple[F
                 chi /= np.maximum(1.0, best[block] / RULES.misfit)[:, None]
                 # evidence of each kind, and its means over the draws
                 for number, draw in enumerate(kinds):
-                    lowest = chi[:, draw].min(axis=1)
-                    weight = np.exp(-0.5 * (chi[:, draw] - lowest[:, None]))
-                    total = weight.sum(axis=1)
-                    log[block, width, number] = np.log(total / draw.size) - 0.5 * lowest - log_norm
+                    log[block, width, number], weight, total = _evidence_of(chi[:, draw], log_norm)
                     weight /= total[:, None]
                     mean[block, width, number] = weight @ drawn_fraction[draw]
                     square[block, width, number] = weight @ drawn_fraction[draw] ** 2
@@ -635,10 +641,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
         for number, zenith in enumerate(_OTHER_SUNS_DEG):
             levels, sky_fraction = _clear_air(float(zenith), pressure, centres)
             chi, log_norm = _chi_square(evidence.level, levels, centres, float(evidence.level_u))
-            least = chi.min(axis=1)
-            weight = np.exp(-0.5 * (chi - least[:, None]))
-            sums = weight.sum(axis=1)
-            log[:, number] = np.log(sums / len(levels)) - 0.5 * least - log_norm
+            log[:, number], weight, sums = _evidence_of(chi, log_norm)
             mean[:, number] = weight @ sky_fraction / sums[:, None]
             squares[:, number] = weight @ sky_fraction**2 / sums[:, None]
         # average over the other suns, without those near the sun of the clock
