@@ -1149,14 +1149,12 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
         return roof
     # the longer side of a car cut off by the picture's edge may be its width
     turned_roof = _roof_along(
-        car._replace(axis=_aside(car), length=car.width, width=car.length), glass, level, is_dark=is_dark
+        car._replace(axis=np.array([car.axis[1], -car.axis[0]]), length=car.width, width=car.length),
+        glass,
+        level,
+        is_dark=is_dark,
     )
     return roof if isinstance(turned_roof, NoRoof) else turned_roof
-
-
-def _aside(car: Footprint) -> Floats:
-    # Unit vector (line, column) across a car
-    return np.array([car.axis[1], -car.axis[0]])
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -> Roof | NoRoof:
@@ -1204,9 +1202,7 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, *, is_dark: bool) -
         # the sides of a car at the picture's edge must be visible
         if not inside.any() or (car.cut and not are_visible):
             continue
-        line, column = (
-            car.centre + (along - 0.5 * car.length) * car.axis + 0.5 * car.width * centre * _aside(car)
-        )
+        line, column = _to_picture(car.centre, car.axis, along - 0.5 * car.length, 0.5 * car.width * centre)
         is_between = len(long) == 2 or (has_bonnet and sided(run) > ROOFS.sided)
         # the roof of a pickup, or a part of one behind a glass roof, ends at one window, too, and may slope
         share = run.length / car.length
@@ -1256,9 +1252,7 @@ def _cabin_roof(car: Footprint, tracks: _Tracks, beside: Bools) -> Roof | None:
     windows = car.area & tracks.glass & tracks.within(run) & ~inside
     if not inside.any() or not windows.any():
         return None
-    line, column = (
-        car.centre + (middle - 0.5 * car.length) * car.axis + 0.5 * car.width * centre * _aside(car)
-    )
+    line, column = _to_picture(car.centre, car.axis, middle - 0.5 * car.length, 0.5 * car.width * centre)
     return Roof(
         inside,
         (float(line), float(column)),
@@ -1373,11 +1367,7 @@ def _step(car: Footprint, level: Floats, sign: int, run: _Run) -> float:
     half_width = 0.5 * car.width
     distances = np.arange(ROOFS.side * half_width, ROOFS.beyond * half_width, ROOFS.step_px)
     along = np.arange(run.start + 0.5, run.stop) - 0.5 * car.length
-    positions = (
-        np.array(car.centre)[:, None, None]
-        + car.axis[:, None, None] * along[None, :, None]
-        + sign * _aside(car)[:, None, None] * distances[None, None, :]
-    )
+    positions = _to_picture(car.centre, car.axis, along[:, None], sign * distances)
     profiles = map_coordinates(np.log(np.maximum(level, ROOFS.black)), positions, order=1, mode="nearest")
     span, stay = round(1.0 / ROOFS.step_px), round(max(1.0, ROOFS.window_width * half_width) / ROOFS.step_px)
     inner, outer = (
@@ -1602,7 +1592,7 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     else:
         # an edge is not visible, or too far from the windows
         shift, across_sd = 0.0, max(across_sd, LEVELS.edged_sd_px)
-    line, column = _to_picture(roof.centre, roof.axis, np.zeros(()), np.array(shift))
+    line, column = _to_picture(roof.centre, roof.axis, 0.0, shift)
     return Place(
         float(line), float(column), along_sd, across_sd, half_width, max(0.5 * float(np.ptp(along)), 1.0)
     )
@@ -1615,8 +1605,8 @@ def _to_car(centre: tuple[float, float] | Floats, axis: Floats, y: Array, x: Arr
 
 
 def _to_picture(
-    centre: tuple[float, float], axis: Floats, along: Floats, across: Floats
-) -> tuple[Floats, Floats]:
+    centre: tuple[float, float] | Floats, axis: Floats, along: Any, across: Any
+) -> tuple[Any, Any]:
     # Line and column from distances along and across a car [pixel]
     return centre[0] + along * axis[0] + across * axis[1], centre[1] + along * axis[1] - across * axis[0]
 
