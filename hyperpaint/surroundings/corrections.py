@@ -952,7 +952,7 @@ def correct_coat(
     """
     numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
     line = _checked(line, ("coat_corrected",), numbers, of_body=True)
-    coat, is_library = (float(index), float(index_u)), SIGNATURE in line["reflectance"].dims
+    coat, is_library = (float(index), float(index_u), lean_u), SIGNATURE in line["reflectance"].dims
     if is_library:
         # a sky that was removed from the flight line
         is_removed = "mirrored_sky_removed" in line["reflectance"].attrs
@@ -962,7 +962,7 @@ def correct_coat(
             view, azimuth = _view_of(paint)
             view = view if view_zenith is None else view_zenith
             angle = min(float(view), 85.0) if np.isfinite(view) else 0.0
-            rows.append(_shares(split, incidence, angle, (*coat, lean_u)))
+            rows.append(_shares(split, incidence, angle, *coat))
             if needs_u:
                 removed_u.append(
                     mirrored_sky(split, view, azimuth, index_u=index_u, lean_u=_known(paint["lean"], lean_u))[
@@ -975,7 +975,7 @@ def correct_coat(
     else:
         split = split_of(line, diffuse, sun_zenith, sky)
         zenith = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(line, sun_zenith)
-        shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, (*coat, lean_u))
+        shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, *coat)
     share, share_u = (array.astype(np.float32) for array in shares)
     corrected = {name: line[name] / share for name in (*LEVELS, *WIDTHS) if name in line.variables}
     coat_u = corrected["reflectance"] * share_u / share
@@ -992,11 +992,10 @@ def correct_coat(
 
 
 def _shares(
-    split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
+    split: LightSplit, incidence: float, view: float, index: float, index_u: float, lean_u: float
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    # Relative transmission C and its standard uncertainty, on the dims of the split. `coat`: index, its
-    # uncertainty, uncertainty of the lean [degree].
-    index, index_u, lean_u = coat
+    # Relative transmission C and its standard uncertainty, on the dims of the split. `index`, `index_u`: of
+    # the coat; `lean_u`: uncertainty of the lean [degree].
 
     def share(fraction: Any, n: float, angle: float) -> Any:
         # reflectance of the coat for the light of a uniform sky, or between a clear and an overcast sky

@@ -658,7 +658,7 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     lobe |= surely
     for spot, window in spots:
         beside = ~spot & ~picture.saturated[window] & (picture.body(window) >= 0)
-        rim = beside & (_distance(spot) < 1.5)
+        rim = beside & (depth_of(~spot) < 1.5)
         if (rim.any() and lobe[window][rim].mean() > LOBES.min_rim) or lobe[window][spot].any():
             layer[window][spot] = SATURATED_IN_LOBE
     return layer
@@ -694,11 +694,6 @@ def depth_of(mask: Bools) -> Floats:
     return np.sqrt(squared)
 
 
-def _distance(mask: Bools) -> Floats:
-    # Distance of every pixel from the nearest pixel of a mask [pixel]
-    return depth_of(~mask)
-
-
 def _half_width(core: Bools) -> float:
     # Maximum distance of a pixel of a core from the core's outside [pixel]
     return float(depth_of(np.pad(core, 1)).max())
@@ -723,7 +718,7 @@ def _add_sharp(
     larger = padded(window, LOBES.growths * int(np.ceil(reach)) + LOBES.around_px)
     brightness, body = level[larger], picture.body(larger)
     core = _in_larger_window(core, window, larger, brightness.shape)
-    distance = _distance(core)
+    distance = depth_of(~core)
     near, far = (reach, reach + LOBES.around_px) if is_mirrored else (2.5, 4.5)
     ring = (distance > near) & (distance <= far)
     # body with most pixels of the ring, if it has enough of them; beyond the brightness of lit surfaces, of
@@ -750,7 +745,7 @@ def _add_sharp(
     lobe_here, fit_radius = core, reach + LOBES.around_px
     on_body = (body == surface_body) & np.isfinite(brightness)
     for _ in range(1 + is_mirrored * min(int(core.sum()) // LOBES.growth_px, LOBES.growths)):
-        distance = _distance(core)
+        distance = depth_of(~core)
         surface = on_body & (distance > 1.5) & (distance <= fit_radius)
         broad = _broad_lobe(brightness, surface, surface & (distance > max(2.0, 0.5 * reach)), fit_radius)
         if broad is None:
@@ -866,7 +861,7 @@ def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice,
     core = _in_larger_window(core, window, larger, level[larger].shape)
     body = picture.body(larger)
     is_coat = np.append(_distinguishable(picture), False)[body]
-    near = is_coat & np.isfinite(level[larger]) & (_distance(core) <= reach)
+    near = is_coat & np.isfinite(level[larger]) & (depth_of(~core) <= reach)
     glint = _mirrored_sun(picture, near, larger) * picture.light.direct.mean()
     paint = np.append(np.nan_to_num(picture.reference).mean(axis=1), 0.0)[body]
     halo = near & (glint > np.maximum(LOBES.min_wide_share * paint, LOBES.floor))
