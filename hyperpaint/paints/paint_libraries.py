@@ -1199,14 +1199,16 @@ def _specs() -> list[dict[str, Any]]:
 
 def _absorption(spec: dict[str, Any], nm: Floats) -> Floats:
     # K/S (band,) [1]
-    ratio = np.full(nm.size, spec["absorption"])
-    for kind, centre, width, height in spec["absorbers"]:
-        ratio += height * (
+    parts = (
+        height
+        * (
             0.5 * (1.0 + np.tanh((nm - centre) / (2 * width)))
             if kind == "edge"
             else np.exp(-0.5 * ((nm - centre) / width) ** 2)
         )
-    return ratio
+        for kind, centre, width, height in spec["absorbers"]
+    )
+    return sum(parts, np.full(nm.size, spec["absorption"]))
 
 
 def _reflectance(spec: dict[str, Any], nm: Floats) -> Floats:

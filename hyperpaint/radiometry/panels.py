@@ -434,10 +434,8 @@ def _brightness_and_outliers(observed: Floats, clean: Bools) -> tuple[Floats, Bo
 
     brightness = level(slice(None))
     parts = [part for part in np.array_split(np.arange(spectrum.size), min(4, spectrum.size)) if part.size]
-    is_foreign = _is_outlier(brightness)
-    for part in parts:
-        is_foreign |= _is_outlier(level(part) / brightness)
-    return brightness, is_foreign
+    shapes = (level(part) / brightness for part in parts)
+    return brightness, np.any([_is_outlier(values) for values in (brightness, *shapes)], axis=0)
 
 
 def _is_outlier(values: Floats) -> Bools:

@@ -2366,9 +2366,7 @@ def propose_regions(
     unknown = sorted(set(options) - set(signature(survey).parameters))
     if unknown:
         raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
-    if model is None:
-        model = survey(line, progress=progress, **options)
-    scene = model_of(line, model)
+    scene = model_of(line, survey(line, progress=progress, **options) if model is None else model)
     if not scene.segments:
         return Proposals(())
     zenith = options.get("sun_zenith", scene.attrs.get("sun_zenith"))

@@ -685,10 +685,8 @@ class BrokenClouds:
         # waves of a field with the correlation exp(-d^2 / size^2)
         waves = rng.standard_normal((_WAVES, 2)) * np.sqrt(2.0) / self.size
         phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
-        field = np.zeros(x.shape)
-        for (kx, ky), start in zip(waves, phase, strict=True):
-            field += np.cos(kx * x + ky * y + start)
-        field *= np.sqrt(2.0 / _WAVES)
+        parts = (np.cos(kx * x + ky * y + start) for (kx, ky), start in zip(waves, phase, strict=True))
+        field = sum(parts, np.zeros(x.shape)) * np.sqrt(2.0 / _WAVES)
         direct = 1.0 - self.opacity * np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
         diffuse = np.full(x.shape, 1.0 + _SCATTERED_SHARE * self.opacity * self.cover)
         is_finite = np.isfinite(x + y)

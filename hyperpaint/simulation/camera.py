@@ -89,10 +89,11 @@ def line_shape(
     # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
     rising = -np.abs(offset)
     upper, lower = rising + step / 2, rising - step / 2
-    total = np.zeros_like(offset, dtype=np.float64)
-    for sign, corner in corners:
-        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
-    return total / (2.0 * fwhm * spacing * step)
+    ramps = (
+        sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
+        for sign, corner in corners
+    )
+    return sum(ramps, np.zeros_like(offset, dtype=np.float64)) / (2.0 * fwhm * spacing * step)
 
 
 def cubic_weights(fraction: Floats) -> Floats:

@@ -541,10 +541,8 @@ class Checkerboard:
         vectors = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
         bright = np.zeros(centre.shape[1:])
         for step_weights in weights:
-            point = centre.copy()
-            for weight, vector in zip(step_weights.tolist(), vectors, strict=True):
-                point += weight * vector
-            half_sum = 0.5 * np.floor(point).sum(axis=0)
+            moves = (weight * vector for weight, vector in zip(step_weights.tolist(), vectors, strict=True))
+            half_sum = 0.5 * np.floor(sum(moves, centre)).sum(axis=0)
             bright += half_sum != np.floor(half_sum)  # a square with an odd sum of numbers
         return bright / len(weights)
 

@@ -153,9 +153,10 @@ def match_shade(
     """
     count = len(spectrum)
     state, body = np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32)
-    border = np.bincount(pairs.one, pairs.length, count).astype(np.float64)
-    for edge in (number[0], number[-1], number[:, 0], number[:, -1]):
-        border += np.bincount(edge[edge >= 0], minlength=count)
+    edges = (number[0], number[-1], number[:, 0], number[:, -1])
+    border = np.bincount(pairs.one, pairs.length, count).astype(np.float64) + sum(
+        np.bincount(edge[edge >= 0], minlength=count) for edge in edges
+    )
     scene = Scene(spectrum, size, pairs, border)
     ground = np.arange(count) == (np.argmax(size) if count else -1)
     mixtures = _candidates(scene, senders_of(number, np.nan_to_num(spectrum), size), light)
@@ -1270,9 +1271,7 @@ def flag(
         mend="pass only one of them",
         code="option-conflict",
     )
-    if model is None:
-        model = survey(line, progress=progress, **options)
-    scene = model_of(line, model)
+    scene = model_of(line, survey(line, progress=progress, **options) if model is None else model)
     searched = dask.delayed(scene, traverse=False, pure=False)
     if where is not None:
         searched = dask.delayed(within)(searched, schema.pixel_mask(where, line, "where="))

@@ -99,9 +99,8 @@ class Paint:
         >>> thick(np.array([550.0])).round(3)
         array([0.791])
         """
-        ratio = np.full_like(wavelength, self.absorption, dtype=np.float64)
-        for absorber in self.absorbers:
-            ratio += absorber(wavelength)
+        clear = np.full_like(wavelength, self.absorption, dtype=np.float64)
+        ratio = sum((absorber(wavelength) for absorber in self.absorbers), clear)
         # this form of R_inf has no cancellation for dark layers
         deep = 1.0 / (1.0 + ratio + np.sqrt(ratio * (ratio + 2.0)))
         k1, k2 = self.interface, self.internal
@@ -399,9 +398,8 @@ class Pigments:
         # Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the
         # modulation cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with
         # ``turned`` that of light which meets the flake at 45 degrees.
-        tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
-        for absorber in self.absorbers:
-            tint += absorber(wavelength)
+        clear = np.full_like(wavelength, self.absorption, dtype=np.float64)
+        tint = sum((absorber(wavelength) for absorber in self.absorbers), clear)
         metal = aluminium(wavelength)
         if self.interference is not None:
             thickness, depth = self.interference
