@@ -72,7 +72,7 @@ from .instruments import (
     ASD_WAVELENGTH,
     CAMERA_SOFTWARE,
     SVC_DETECTORS,
-    svc_wavelengths,
+    SVC_WAVELENGTH,
     write_asd,
     write_asd_reflectance,
     write_bil_header,
@@ -459,9 +459,8 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
 def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
     # values with the dims, dtype and attributes of a row of the table of variables
     values = np.asarray(values).astype(row.dtype)
-    if dims is None:
-        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
-    return xr.Variable(dims, values, row.attrs)
+    fitting = (d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
+    return xr.Variable(next(fitting) if dims is None else dims, values, row.attrs)
 
 
 def labelled_variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
@@ -1238,7 +1237,7 @@ def simulate_collect(
         )
     # a file of both spectrometers for every paint of the cars in view, named after the paint
     svc, asd = root / SVC_FOLDER, root / ASD_FOLDER
-    nm = svc_wavelengths()
+    nm = SVC_WAVELENGTH
     grid = spectral_grid(nm.min() - _FINE_AXIS.margin_nm, nm.max() + _FINE_AXIS.margin_nm, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
     # radiance of the white panel, then of the paints

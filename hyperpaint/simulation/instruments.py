@@ -263,11 +263,8 @@ SVC_DETECTORS = (
     SvcDetector(256, 963.9, 1912.0, 3.72, 9.5),
     SvcDetector(256, 1891.3, 2513.2, 2.85, 6.5),
 )
-
-
-def svc_wavelengths() -> Floats:
-    # wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins
-    return np.concatenate([detector.wavelength for detector in SVC_DETECTORS])
+#: Wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins.
+SVC_WAVELENGTH = np.concatenate([detector.wavelength for detector in SVC_DETECTORS])
 
 
 def write_svc(
@@ -281,7 +278,7 @@ def write_svc(
     sun: tuple[float, float],
 ) -> None:
     # write a measurement of a white panel and a target
-    # white, target: radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1]
+    # white, target: radiance on `SVC_WAVELENGTH`, shape (1024,) [W m-2 sr-1 nm-1]
     # stamps: UTC of panel and target [s since 1970]
     # utc_offset: zone of the instrument's clock [s]
     # position: latitude and longitude [degree]
@@ -325,7 +322,7 @@ def write_svc(
     rounded = np.round(np.stack([white, target]) / _UNIT, 2)
     rows = (
         f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {100.0 * surface / panel if panel else 0.0:.2f}"
-        for nm, panel, surface in zip(svc_wavelengths(), *rounded, strict=True)
+        for nm, panel, surface in zip(SVC_WAVELENGTH, *rounded, strict=True)
     )
     lines = ["/*** Spectra Vista SIG Data ***/", *(f"{key}= {value}" for key, value in header.items()), *rows]
     path.write_text("\r\n".join(lines) + "\r\n", encoding="ascii", newline="")

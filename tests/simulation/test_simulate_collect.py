@@ -29,7 +29,7 @@ from hyperpaint.simulation import (
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.camera import convolve_gaussian, nominal_responsivity
 from hyperpaint.simulation.flight import Checkerboard, CheckerboardFlight, PlanFlight
-from hyperpaint.simulation.instruments import SVC_DETECTORS, svc_wavelengths
+from hyperpaint.simulation.instruments import SVC_DETECTORS, SVC_WAVELENGTH
 from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, MATERIALS, reflectance
 from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
 
@@ -547,7 +547,7 @@ def test_the_pattern_is_that_of_real_files(shared_data: Path) -> None:
         if "Preserve" in keys["factors"] and "Remove" not in keys["factors"]:
             # three detectors of the sizes that are simulated, within what differs from unit to unit
             assert (np.flatnonzero(np.diff(rows[:, 0]) < 0) + 1).tolist() == [512, 768]
-            np.testing.assert_allclose(rows[:, 0], svc_wavelengths(), atol=20)
+            np.testing.assert_allclose(rows[:, 0], SVC_WAVELENGTH, atol=20)
 
 
 def test_svc_files_hold_the_paints_in_units_of_the_instrument(spectrometers: Path) -> None:
@@ -556,7 +556,7 @@ def test_svc_files_hold_the_paints_in_units_of_the_instrument(spectrometers: Pat
     for path in files:
         keys, rows = svc(path)
         assert (keys["name"], len(rows)) == (path.name, 1024)
-        np.testing.assert_array_equal(rows[:, 0], svc_wavelengths())
+        np.testing.assert_array_equal(rows[:, 0], SVC_WAVELENGTH)
         np.testing.assert_allclose(rows[:, 3], 100 * rows[:, 2] / rows[:, 1], atol=0.0051)
         # what a detector's resolution takes from the paints' edges, most at the sun's G band, 430 nm
         np.testing.assert_allclose(

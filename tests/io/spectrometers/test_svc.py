@@ -36,7 +36,7 @@ from hyperpaint.io.spectrometers.spectrum_texts import (
     read_svc,
     utc_of,
 )
-from hyperpaint.simulation.instruments import svc_wavelengths, write_svc
+from hyperpaint.simulation.instruments import SVC_WAVELENGTH, write_svc
 
 # --- A writer of ``.sig`` files in any dialect, independent of the package's readers and simulator
 
@@ -555,7 +555,7 @@ def test_any_position_comes_back(latitude, longitude, comma, blanks) -> None:
 
 @pytest.mark.parametrize(("position", "zone"), [((43.0848, -77.6749), -5), ((-35.3, 149.1), 11)])
 def test_what_the_simulator_writes_comes_back(tmp_path, position, zone) -> None:
-    grid = svc_wavelengths()
+    grid = SVC_WAVELENGTH
     white = 0.08 * np.exp(-(((grid - 550.0) / 700.0) ** 2))
     share = 0.2 + 0.1 * np.sin(grid / 100.0)
     stamp = int(np.datetime64("2024-05-21T15:33:07", "s").astype(int))
