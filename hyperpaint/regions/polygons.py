@@ -23,6 +23,7 @@ import importlib.util
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -220,15 +221,13 @@ class Regions(Sequence[Region]):
     def __post_init__(self) -> None:
         object.__setattr__(self, "regions", tuple(self.regions))
         with Problems("these regions cannot be used together", SchemaError) as problems:
-            names: set[str] = set()
-            for name in (region.name for region in self.regions):
+            for name, count in Counter(region.name for region in self.regions).items():
                 problems.add_if(
-                    name in names,
-                    f"the name {name!r} occurs twice",
+                    count > 1,
+                    f"the name {name!r} occurs {'twice' if count == 2 else f'{count} times'}",
                     mend="give each region its own name",
                     code="region-name-duplicate",
                 )
-                names.add(name)
             one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
             crs: object = self.crs
             if crs is not None and not isinstance(crs, str):
