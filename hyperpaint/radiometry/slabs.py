@@ -254,7 +254,7 @@ def panel_result(plan: Plan, name: str) -> Array:
         )
     else:
         array = plan.panel_u if name == "scale_u" else getattr(plan.closure, name)
-    return array.astype(np.float32) if array.dtype == np.float64 else array
+    return np.asarray(array, np.float32 if array.dtype == np.float64 else None)
 
 
 def calibrated(
