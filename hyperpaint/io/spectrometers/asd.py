@@ -655,16 +655,19 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
 
 
 _HEAD_BYTES = 16 * 1024
+NETCDF_NAME = re.compile(r"\.(?:nc4?|h5)$", re.IGNORECASE)
 
 
 def find_files(paths: Paths) -> list[Path]:
     # Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
-    # From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
+    # From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text
+    # files, or else its netCDF files.
     # Raises FormatError: No such file is found.
 
     def of_folder(files: list[Path]) -> list[Path]:
         binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
-        return binaries or [path for path in files if path.suffix.lower() in SPECTRUM_SUFFIXES]
+        texts = [path for path in files if path.suffix.lower() in SPECTRUM_SUFFIXES]
+        return binaries or texts or [path for path in files if NETCDF_NAME.search(path.name)]
 
     return find_paths(paths, of_folder, ".asd files, texts of spectrometers or a csv")
 

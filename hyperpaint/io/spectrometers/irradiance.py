@@ -5,7 +5,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
@@ -56,7 +56,7 @@ from hyperpaint.io.files.reading import (
 from hyperpaint.io.navigation.navigation_records import GPS_EPOCH, gps_to_utc
 from hyperpaint.io.store import is_zarr, list_groups, load_group
 
-from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
+from .asd import NETCDF_NAME, Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from .spectrum_texts import (
     NM_HEADING,
@@ -342,64 +342,76 @@ def _time_of_cell(text: str, is_gps: bool) -> dt.datetime | LocalStamp:
 # --- stores ------------------------------------------------------------------------------------------------
 
 
-_NETCDF_SUFFIXES = (".nc", ".nc4", ".h5")
 #: An irradiance product of HYPERNETS (L1A to L1C): dims along time, and names of the variables. The time
-#: counts seconds of UTC from 1970; the width is the full width at half maximum [nm] (hypernets_processor,
-#: variables of its data format).
-_HYPERNETS_DIMS = ("series", "scan")
+#: counts seconds of UTC from 1970; the width is the full width at half maximum [nm]; a flag is the bit of its
+#: place among ``flag_meanings`` (hypernets_processor, variables of its data format).
+_HYPERNETS_DIMS = (("series",), ("scan",))
 _HYPERNETS_TIME, _HYPERNETS_WIDTH, _HYPERNETS_FLAG = "acquisition_time", "bandwidth", "quality_flag"
+#: Flags of scans without a GPS fix, whose spectra are good.
+_POSITION_FLAGS = ("lon_default", "lat_default")
+_LEFT_OUT = "irradiance_left_out"
 _MAX_TIME_S = 7.2e9  # [s since 1970], the year 2198
 
 
-def _stored_series(path: Any) -> xr.Dataset:
+def _stored_data(path: Any) -> xr.Dataset:
     # Return the dataset with the series: the root of the store, or a collect's group ``irradiance``.
     try:
-        data = (
+        return (
             load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
             if is_zarr(path)
             else load_netcdf(input_path(path, "an irradiance series"))
         )
-        # an irradiance product of HYPERNETS becomes a series; other data stay unchanged
-        dim = next((name for name in _HYPERNETS_DIMS if name in data.dims), None)
-        if dim is None or not {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables):
-            return data
-        stamps = data[_HYPERNETS_TIME].values
-        if stamps.dtype.kind != "M":
-            count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
-            FormatError.raise_if(
-                (np.abs(count) > _MAX_TIME_S).any(),
-                "'acquisition_time' is out of range",
-                expected="seconds from 1970",
-                code="time-unreadable",
-            )
-            is_known = np.isfinite(count)
-            nanoseconds = np.where(is_known, count * 1e9, 0.0).round().astype(np.int64)
-            stamps = np.where(is_known, nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns"))
-        is_good = ~np.isnat(stamps)
-        if _HYPERNETS_FLAG in data.variables:
-            is_good &= data[_HYPERNETS_FLAG].values == 0
-        warn_if(
-            not is_good.all(),
-            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out",
-            "samples-flagged",
-        )
-        data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
-        series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
-        series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims(
-            {dim: "time"}
-        )
-        if _HYPERNETS_WIDTH in data.variables:
-            series["irradiance_fwhm"] = (
-                data[_HYPERNETS_WIDTH].reset_coords(drop=True).assign_attrs(units="nm")
-            )
-        return series.sortby("time")
-    except IncompleteStoreError:
+    except (FormatError, IncompleteStoreError):
         raise
     except Exception as error:  # damaged files make h5py and xarray raise errors of many classes
         raise FormatError(
             f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
             code="file-unreadable",
         ) from error
+
+
+def _hypernets_series(data: xr.Dataset, origin: str) -> xr.Dataset:
+    # Return an irradiance product of HYPERNETS as a series; other data stay unchanged.
+    if not (
+        {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables)
+        and (clock := data[_HYPERNETS_TIME]).dims in _HYPERNETS_DIMS
+        and clock.dtype.kind in "Mmiuf"
+        and set(clock.dims) <= set(data["irradiance"].dims)
+        and data.get(_HYPERNETS_FLAG, clock).dims == clock.dims
+    ):
+        return data
+    stamps = clock.values
+    if stamps.dtype.kind != "M":
+        count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
+        FormatError.raise_if(
+            (np.abs(count) > _MAX_TIME_S).any(),
+            f"{origin}: 'acquisition_time' is out of range",
+            expected="seconds from 1970",
+            code="time-unreadable",
+        )
+        stamps = np.nan_to_num(count * 1e9).round().astype(np.int64).astype("datetime64[ns]")
+        stamps[np.isnan(count)] = np.datetime64("NaT")
+    flag = data.get(_HYPERNETS_FLAG, xr.zeros_like(clock, np.int64))
+    bits = {name: 1 << bit for bit, name in enumerate(str(flag.attrs.get("flag_meanings", "")).split())}
+    # a filled flag (NaN) is a bit without a name
+    flags = np.nan_to_num(flag.values.astype(np.float64), nan=2.0**62).astype(np.int64)
+    flags &= ~sum(bits.get(name, 0) for name in _POSITION_FLAGS)
+    is_good = (flags == 0) & ~np.isnat(stamps)
+    names = ", ".join(name for name, bit in bits.items() if (flags & bit).any())
+    found = f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag"
+    found += f" ({names})" if names else ""
+    warn_if(not is_good.all(), f"{origin}: {found}, and are left out", "samples-flagged")
+    series: xr.Dataset = (
+        data[["irradiance"]]
+        .reset_coords(drop=True)
+        .isel({clock.dims[0]: is_good})
+        .assign_coords(time=(clock.dims, stamps[is_good]), wavelength=data["wavelength"])
+        .swap_dims({clock.dims[0]: "time"})
+        .assign_attrs({} if is_good.any() else {_LEFT_OUT: found})
+    )
+    if _HYPERNETS_WIDTH in data.variables:
+        series["irradiance_fwhm"] = data[_HYPERNETS_WIDTH].reset_coords(drop=True).assign_attrs(units="nm")
+    return series.sortby("time")
 
 
 # --- the series --------------------------------------------------------------------------------------------
@@ -449,14 +461,14 @@ def open_irradiance(
         A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, texts
         of other spectrometers (Spectral Evolution, Ocean Optics, Avantes, LI-180, StellarNet), or csv series
         of loggers (``time, 350nm, ...``, see `read_irradiance_csv`); or any Zarr (folder, zip file, URL or
-        store object), a netCDF file or an xarray object, with ``irradiance`` on a time and a wavelength dim
-        (of a collect's store, the group ``irradiance``); or a netCDF product of HYPERNETS, L1A to L1C.
+        store object), netCDF files or an xarray object, with ``irradiance`` on a time and a wavelength dim
+        (of a collect's store, the group ``irradiance``); or netCDF products of HYPERNETS, L1A to L1C.
     quantity
         ``irradiance`` states what text exports do not state. Without it, it is guessed from their plot range,
         with a warning. Binary files become irradiance through their calibration.
     utc_offset_h
         Clock of the logging PC minus UTC [h], zones only. By default from the files; csv stamps may carry
-        their zone; xarray objects are in UTC.
+        their zone; xarray objects and HYPERNETS are in UTC.
     clock_offset_s
         Correction added to the stamps of the logging PC [s]: UTC = stamp - utc_offset_h + clock_offset_s.
     stamp
@@ -564,14 +576,25 @@ def open_irradiance(
     problems.extend(problem for is_wrong, problem in checks if is_wrong)
     one_of(stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
     problems.raise_if_any()
-    path = os.fspath(paths) if isinstance(paths, str | os.PathLike) else ""
     if isinstance(paths, xr.Dataset | xr.DataArray):
         series = _from_xarray(paths, utc_offset_h, units)
-    elif is_zarr(paths) or path.lower().endswith(_NETCDF_SUFFIXES):
-        name = os.path.basename(path) if path else type(paths).__name__
-        series = _from_xarray(_stored_series(paths), utc_offset_h, units, name)
+    elif is_zarr(paths):
+        name = (
+            os.path.basename(os.fspath(paths))
+            if isinstance(paths, str | os.PathLike)
+            else type(paths).__name__
+        )
+        series = _from_xarray(_stored_data(paths), utc_offset_h, units, name)
+    elif all(map(NETCDF_NAME.search, map(str, files := find_files(paths)))):
+        series = _joined([_from_xarray(_stored_data(path), utc_offset_h, units, path.name) for path in files])
     else:
-        series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
+        series = _from_files(files, quantity, utc_offset_h, units, calibration)
+    FormatError.raise_if(
+        not len(series.stamps) and _LEFT_OUT in series.attrs,
+        f"{series.origin}: no spectrum is left: {series.attrs.get(_LEFT_OUT)}",
+        mend="choose other files; to use flagged spectra, set 'quality_flag' to 0",
+        code="samples-flagged",
+    )
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
     # UTC at the middle of each sample
     shift_s = MID_EXPOSURE_OFFSETS[stamp] * window
@@ -724,8 +747,13 @@ def _from_files(
             for table in tables
             for line, time, values in zip(table.lines, table.times, table.values, strict=True)
         ]
-        spectra = mask_undefined(spectra, "irradiance")
-        return _from_spectra(spectra, utc_offset_h, units, one_clock=False, fwhm=tables[0].fwhm_nm)
+        return _from_spectra(
+            mask_undefined(spectra, "irradiance"),
+            utc_offset_h,
+            units,
+            one_clock=False,
+            fwhm=tables[0].fwhm_nm,
+        )
     is_declared = quantity is not None
     are_texts = "instrument" in kinds
     # binary files yield irradiance by their calibration, whatever quantity was displayed; units of light
@@ -829,6 +857,13 @@ def _from_xarray(
         ),
         error=SchemaError,
     )
+    if (product := _hypernets_series(data, origin)) is not data:
+        warn_if(
+            utc_offset_h,
+            f"utc_offset_h={utc_offset_h} is unused: stamps of HYPERNETS are UTC; clock_offset_s= moves them",
+            "utc-offset-conflict",
+        )
+        data, utc_offset_h = product, None
     array = data["irradiance"]
     # spectra whose time is a coordinate beside their dim, as `open_asd` returns them
     array = array.swap_dims(
@@ -865,10 +900,9 @@ def _from_xarray(
         ),
         error=TimeError,
     )
-    if utc_offset_h is not None:
-        check_utc_offset(utc_offset_h)
+    check_utc_offset(utc_offset_h)
     array = array.transpose(*axes)
-    found_units = array.attrs.get("units", units)
+    found_units = array.attrs.get("units") or units
     refuse(
         origin,
         (
@@ -921,6 +955,32 @@ def _from_xarray(
         max_gap_s=None if gap is None else float(convert(gap, "s")),
         clock_uncertainty_s=None if clock is None else float(convert(clock, "s")),
         attrs={key: value for key, value in data.attrs.items() if str(key).startswith("irradiance_")},
+    )
+
+
+def _joined(parts: Sequence[_Series]) -> _Series:
+    # Return the series of several files, those without a spectrum left out.
+    parts = [part for part in parts if len(part.stamps)] or parts[:1]
+    first = parts[0]
+    FormatError.raise_if(
+        any(
+            not np.array_equal(getattr(part, name), getattr(first, name))
+            for part in parts[1:]
+            for name in ("wavelength", "units", "fwhm")
+        ),
+        f"the files differ in wavelengths, widths or units: {listed([part.origin for part in parts])}",
+        mend="open them separately",
+        code="series-mismatch",
+    )
+    return replace(
+        first,
+        sources=[f"{part.origin}: {source}" for part in parts for source in part.sources],
+        utc_offset_h=list(chain.from_iterable(part.utc_offset_h for part in parts)),
+        origin=first.origin + (f" to {parts[-1].origin} ({len(parts)} files)" if parts[1:] else ""),
+        attrs={} if parts[1:] else first.attrs,  # the faults of several files are judged again
+        stamps=np.concatenate([part.stamps for part in parts]),
+        averaging_s=np.concatenate([part.averaging_s for part in parts]),
+        values=np.concatenate([part.values for part in parts]),
     )
 
 

@@ -300,11 +300,11 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
     )
 
 
-def check_utc_offset(hours: float) -> None:
+def check_utc_offset(hours: float | None) -> None:
     # Refuse local time minus UTC [h] beyond the offsets of all zones.
     # Raises TimeError: It is outside -14 to 14.
     TimeError.raise_if(
-        not -14.0 <= hours <= 14.0,
+        hours is not None and not -14.0 <= hours <= 14.0,
         f"utc_offset_h={hours}",
         expected="local time minus UTC in hours, within -14 to 14",
         code="value-out-of-range",
@@ -775,8 +775,7 @@ def open_svc(
             ),
         ),
     )
-    if utc_offset_h is not None:
-        check_utc_offset(utc_offset_h)
+    check_utc_offset(utc_offset_h)
     files = find_paths(
         paths,
         lambda folder_files: list(filter(is_named_as_scans, folder_files)),

@@ -760,16 +760,22 @@ def test_a_real_calibration(shared_data: Path, tmp_path: Path) -> None:
     assert hp.io.read_radcal(path).sizes["wavelength"] == 2
 
 
-def _hypernets(path: Path, dim: str, level: list[float], time: np.ndarray, flags: list[int]) -> Path:
+FLAGS = "saturation nonlinearity bad_pointing placeholder1 lon_default lat_default outliers"
+
+
+def _hypernets(
+    path: Path, dim: str, level: list[float], time: np.ndarray, flags: list[int], units: str = "mW m^-2 nm^-1"
+) -> Path:
     # Write a product with names and units as hypernets_processor writes them: no real file is at hand
     nm = np.arange(400.0, 1001.0, 5.0)
     values = np.outer(np.ones(nm.size), level)
     data = xr.Dataset(
         {
-            "irradiance": (("wavelength", dim), values, {"units": "mW m^-2 nm^-1"}),
+            "irradiance": (("wavelength", dim), values, {"units": units}),
+            "radiance": (("wavelength", "series"), np.ones((nm.size, len(level) + 2 * (dim == "scan")))),
             "bandwidth": ("wavelength", np.full(nm.size, 3.2)),
             "acquisition_time": (dim, time),
-            "quality_flag": (dim, np.array(flags, np.uint32)),
+            "quality_flag": (dim, np.array(flags, np.uint32), {"flag_meanings": FLAGS}),
         },
         {"wavelength": ("wavelength", nm, {"units": "nm"})},
     )
@@ -790,12 +796,53 @@ def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
     assert float(series.irradiance_fwhm.max()) == pytest.approx(3.2)
 
 
+TIMES = np.array([1717243200, 1717243210, 1717243220])
+
+
 def test_flagged_spectra_of_hypernets_are_left_out(tmp_path: Path) -> None:
     time = np.array(["2024-06-01T12:00:00", "NaT", "2024-06-01T12:00:20", "2024-06-01T12:00:30"], "M8[ns]")
-    path = _hypernets(tmp_path / "flagged.nc", "scan", [1000.0] * 4, time, [0, 0, 4, 0])
-    with pytest.warns(PaintWarning, match="samples-flagged"):
+    path = _hypernets(tmp_path / "flagged.nc", "scan", [1000.0] * 4, time, [0, 0, 4, 48])
+    with pytest.warns(PaintWarning, match=r"bad_pointing.*samples-flagged"):
         series = hp.open_irradiance(path)
+    # Expected: the flags lon_default and lat_default, of a lost GPS fix, say nothing of the spectrum
     np.testing.assert_array_equal(series.irradiance_time, time[[0, 3]])
+    path = _hypernets(tmp_path / "bad.nc", "series", [1000.0] * 3, TIMES, [4, 1, 5])
+    with (
+        pytest.warns(PaintWarning, match="samples-flagged"),
+        pytest.raises(FormatError, match=r"saturation, bad_pointing.*\[samples-flagged"),
+    ):
+        hp.open_irradiance(path)
+
+
+def test_a_day_of_hypernets_is_one_series(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number, flag in enumerate((0, 1, 0)):
+        _hypernets(
+            Path(f"IRR_{number}.nc"), "series", [1000.0 + number] * 3, TIMES + 1800 * number, [flag] * 3
+        )
+    for paths in ("IRR_*.nc", ".", sorted(map(str, Path().glob("*.nc")))):
+        with pytest.warns(PaintWarning, match="samples-flagged"):
+            series = hp.open_irradiance(paths)
+        np.testing.assert_allclose(series.irradiance[:, 0], [1.0] * 3 + [1.002] * 3, rtol=1e-6)
+    alone = hp.open_irradiance("IRR_0.nc")
+    with xr.open_dataset("IRR_0.nc") as data:
+        np.testing.assert_array_equal(hp.open_irradiance(data).irradiance, alone.irradiance)
+    _hypernets(Path("IRR_3.nc"), "series", [1.0] * 3, TIMES + 5400, [0] * 3, "W m-2 nm-1")
+    with pytest.raises(FormatError, match="series-mismatch"):
+        hp.open_irradiance(["IRR_0.nc", "IRR_3.nc"])
+
+
+def test_times_and_units_of_hypernets(tmp_path: Path) -> None:
+    level = [1000.0] * 3
+    with pytest.raises(FormatError, match="time-unreadable") as caught:
+        hp.open_irradiance(_hypernets(tmp_path / "ms.nc", "series", level, TIMES * 1000, [0] * 3))
+    assert caught.value.codes == ("time-unreadable",)
+    bare = _hypernets(tmp_path / "bare.nc", "scan", level, TIMES, [0] * 3, "")
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
+        series = hp.open_irradiance(bare, units="mW m-2 nm-1", utc_offset_h=2)
+    assert series.irradiance_time.values[0] == np.datetime64("2024-06-01T12:00:00")
+    with pytest.raises(UnitsError, match="units-missing"):
+        hp.open_irradiance(bare)
 
 
 # --- the chain against numbers that others published, on their own files ----------------------------------
