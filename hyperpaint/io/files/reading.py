@@ -221,6 +221,7 @@ _FOREIGN = tuple(
         (rb"PK\x03\x04.{0,4000}(?:OOI|ps_\d|procspec)", "a ProcSpec file of Ocean Optics",
          "save it as text (tab delimited, with header) with its software"),
         (rb"PK\x03\x04|\xd0\xcf\x11\xe0", "an Excel sheet or another archive", "save the sheet as CSV"),
+        (rb"\x1f\x8b\x08|BZh\d|\xfd7zXZ|7z\xbc\xaf|\x28\xb5\x2f\xfd", "a compressed file", "unpack it"),
         (rb"%PDF", "a PDF", "type or copy its table into a text: wavelength and value a line"),
         (rb"AVS8[24]", "a binary file of AvaSoft 8", "export it as text with AvaSoft"),
         (rb"///GER", "a GER file", "SVC's software converts it to .sig"),

@@ -494,7 +494,7 @@ def open_library(
     files = find_paths(
         path,
         lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in SPECTRUM_SUFFIXES]),
-        "text files of spectra, or the path of a library's file",
+        "text files of spectra, or the path of a library's file (hp.open_asd opens .asd, hp.open_svc .sig)",
         lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
     )
     if len(files) == 1:

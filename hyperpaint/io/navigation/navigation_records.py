@@ -806,7 +806,8 @@ def _record_of(
     if is_invalid.any():
         problems.add(
             f"time is {seconds[is_invalid][0]:g} s in {name_rows(rows[is_invalid], dialect.row)}",
-            expected=f"0 to {dialect.max_seconds:g} s",
+            expected=f"0 to {dialect.max_seconds:g} s"
+            + " of the GPS week (GPS seconds modulo 604800)" * (dialect.max_seconds == _WEEKS_S),
             mend=f"check the format of {path.name}",
             code="value-out-of-range",
         )

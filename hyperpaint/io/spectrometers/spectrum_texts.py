@@ -393,8 +393,15 @@ class SvcFile:
 
 
 def dialect_of(head: bytes) -> Dialect | None:
-    # Return the dialect of a file by its first bytes; None for files of another kind.
-    return next((dialect for dialect in DIALECTS if dialect.magic.match(head)), None)
+    # Return the dialect of a file by its first bytes, of UTF-16 too; None for files of another kind.
+    return next(
+        (
+            dialect
+            for dialect in DIALECTS
+            if dialect.magic.match(head.lstrip(b"\xff\xfe").replace(b"\0", b""))
+        ),
+        None,
+    )
 
 
 def is_named_as_scans(path: Path) -> bool:

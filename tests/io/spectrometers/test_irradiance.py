@@ -1488,6 +1488,7 @@ REFUSED_FILES: dict[str, tuple[str, str | bytes, Any, str, tuple[str, ...]]] = {
     "certificate as PDF": ("a.pdf", b"%PDF-1.7\n", hp.io.read_certificate, "format-unknown", ("PDF", "text")),
     "JCAMP": ("a.jdx", "##TITLE= door\n##JCAMP-DX= 5\n", hp.open_library, "format-unknown", ("JCAMP",)),
     "AvaSoft 8": ("a.irr8", b"AVS84\0\1\2", open_irradiance, "format-unknown", ("AvaSoft", "text")),
+    "gzip": ("a.asd.gz", b"\x1f\x8b\x08\0as7", hp.open_asd, "format-unknown", ("unpack",)),
     "GER": ("a.sig", b"///GER SIGNATUR FILE///\n", hp.open_svc, "format-unknown", ("GER",)),
     "MATLAB": ("a.mat", b"MATLAB 5.0 MAT-file" + b" " * 109, hp.open_library, "format-unknown", ("MATLAB",)),
     "netCDF as library": (

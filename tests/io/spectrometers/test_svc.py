@@ -264,6 +264,12 @@ def test_ways_to_write_the_same(write, fields) -> None:
     np.testing.assert_array_equal(open_svc(write(**fields))["reflectance"].values[0], SURFACE / PANEL)
 
 
+def test_texts_in_utf_16(write) -> None:
+    path = write()
+    path.write_bytes(path.read_text().encode("utf-16"))
+    np.testing.assert_array_equal(open_svc(path)["reflectance"].values[0], SURFACE / PANEL)
+
+
 def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
     row = spectrum_texts.Dialect(
         "PSR",
