@@ -669,7 +669,7 @@ def find_files(paths: Paths) -> list[Path]:
         texts = [path for path in files if path.suffix.lower() in SPECTRUM_SUFFIXES]
         return binaries or texts or [path for path in files if NETCDF_NAME.search(path.name)]
 
-    return find_paths(paths, of_folder, ".asd files, texts of spectrometers or a csv")
+    return find_paths(paths, of_folder, ".asd files, texts of spectrometers, a csv or netCDF files")
 
 
 def sniff(path: Path) -> Kind:
