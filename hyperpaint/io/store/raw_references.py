@@ -45,7 +45,7 @@ from hyperpaint.base import (
     read_limited,
 )
 
-from .computing import encoding, prepare
+from .computing import encoding, prepare, whole_chunk
 from .manifest import INPUTS, clean_group
 
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
@@ -429,15 +429,14 @@ def outside(
 
 async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], store: str) -> None:
     # Raise for a group with chunks outside the files of ``urls``; ``store``: path in errors.
-    # The first and last two bytes of every chunk are read, since icechunk fails beyond the end of a file.
+    # The first and last two bytes of every chunk of the cube are read, since icechunk fails beyond the end of
+    # a file; other chunks are read whole, and compared with their checksums.
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
 
-    def error(fault: str, expected: str = "") -> IncompleteStoreError:
-        return IncompleteStoreError(
-            f"{store}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
-        )
+    def error(fault: str, expected: str = "", code: str = "reference-wrong") -> IncompleteStoreError:
+        return IncompleteStoreError(f"{store}: /{name} {fault}", expected=expected, mend=_AGAIN, code=code)
 
     # icechunk lists the references of all groups: delete other groups in memory, without a commit
     scratch, parent = repository.writable_session("main"), ""
@@ -451,8 +450,13 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
         raise error(f"refers to {min(foreign)!r:.200}", "a raw file in the list of the root")
     limit = asyncio.Semaphore(_READING.max_parallel_reads)
 
-    async def check(key: str, size: int | None) -> None:
+    async def check(key: str, size: int | None, has_checksum: bool) -> None:
         async with limit:
+            if has_checksum:  # of the encoded bytes, so that a forged chunk is not unpacked
+                chunk = await session.store.get(key, default_buffer_prototype())
+                if chunk is None or whole_chunk(chunk.to_bytes()) is None:
+                    raise error(f"has a damaged chunk, {key}", code="store-damaged")
+                return
             length = await session.store.getsize(key)
             if size is not None and length != size:
                 raise error(f"has {length} bytes in {key}", str(size))
@@ -468,14 +472,14 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
         positions = [tuple(at) async for at in session.chunk_coordinates(f"/{path}")]
         kinds = [await session.chunk_type_async(f"/{path}", at) for at in positions]
         size = None
+        codecs = [type(codec).__name__ for codec in array.metadata.codecs]
         if _icechunk().ChunkType.VIRTUAL in kinds:
             # references must cover all chunks, with samples that are not encoded
             size = math.prod(array.chunks) * array.dtype.itemsize
-            codecs = [type(codec).__name__ for codec in array.metadata.codecs]
             if codecs != ["BytesCodec"] or len(positions) != math.prod(array.cdata_shape):
                 raise error(f"has chunks of {array.basename} that `hyperpaint virtual` does not write")
         keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in positions]
-        await asyncio.gather(*(check(key, size) for key in keys))
+        await asyncio.gather(*(check(key, size, codecs[-1] == "Crc32cCodec") for key in keys))
 
 
 @documented()
