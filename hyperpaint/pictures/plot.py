@@ -835,7 +835,9 @@ def quicklook(
         dataset = reflectance(dataset)
     dataset, cube_name = with_shown_cube(dataset)
     has_flags = "quality" in dataset.variables
-    require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
+    # a cube without a named quantity has no row of the table
+    shown = ["quality"] * has_flags + [cube_name] * (cube_name != "values")
+    require(dataset, shown, "a quicklook")
     step = max(1, dataset.sizes[ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
     dataset = dataset.isel({ALONG_TRACK: slice(None, None, step)})

@@ -153,6 +153,10 @@ def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
     figure = flight(lines=30).line.paint.quicklook(tmp_path / "line.png", lines=10)
     assert (tmp_path / "line.png").read_bytes().startswith(b"\x89PNG")
     assert len(figure.axes) == 4
+    # a cube and a map whose header does not name the quantity
+    cube = scene(np.linspace(0.1, 0.6, 3 * NM.size).reshape(3, NM.size)).rename(reflectance="values")
+    for dataset in (cube, on_a_map().rename(reflectance="values")):
+        assert "values" in dataset.paint.quicklook().axes[0].get_title()
 
 
 def test_pictures_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
