@@ -1077,8 +1077,12 @@ def virtualise(
         StoreError.raise_if(
             difference != _INCOMPLETE and not (overwrite and is_virtual(out)),
             f"{out} exists, {difference}",
-            mend="pass overwrite=True, which replaces a virtual store, or choose another path",
-            option="pass --overwrite, which replaces a virtual store, or choose another --out",
+            mend="pass overwrite=True, which replaces a virtual store, or choose another path"
+            if is_virtual(out)
+            else "move it away, or choose another path",
+            option="pass --overwrite, which replaces a virtual store, or choose another --out"
+            if is_virtual(out)
+            else "move it away, or choose another --out",
             code="store-exists",
         )
     accepted = refuse_findings(opened, lines, accept, lit=True)

@@ -277,6 +277,9 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path) -> Non
     (out / "snapshots").mkdir()
     expect_error(StoreError, "store-damaged", lambda: virtualise(copied, out))
     assert virtualise(copied, out, overwrite=True).written
+    shutil.rmtree(out / "refs")
+    caught = expect_error(StoreError, "store-exists", lambda: virtualise(copied, out))
+    assert "overwrite" not in caught.text(on_command_line=True)
 
 
 @pytest.fixture
