@@ -812,8 +812,15 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     # Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`: There is no
     # such file.
     path = input_path(path, "an ENVI header, or the data file beside it", content=False)
-    if not path.is_file():
+    if not path.is_file() and not path.is_dir():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
+    FormatError.raise_if(
+        path.is_dir(),
+        f"{str(path)!r} is a folder",
+        expected="an ENVI header, or the data file beside it",
+        mend="open a Zarr store with hp.open_store or xr.open_zarr; of other folders name a cube",
+        code="path-is-folder",
+    )
 
     def existing(suffixes: Iterable[str], *stems: Path) -> list[Path]:
         # the files among the names; two spellings of one file count once
@@ -1116,6 +1123,8 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
+    # a netCDF file, for instance, beside the header of another file with its name
+    refuse(str(path), (header.header_offset == 0, foreign_format(path, is_binary=True)))
     n_complete, remainder = divmod(max(0, size - header.header_offset), header.line_bytes)
     has_line_order = header.interleave != "bsq"
     can_keep = has_line_order and n_complete >= 1 and (size < expected or remainder == 0)

@@ -649,7 +649,11 @@ def test_pair_problems(tmp_path: Path) -> None:
     (tmp_path / "a.dat.hdr").write_text(header.read_text() + "band names = {}\n")
     with pytest.warns(PaintWarning, match="header-doubtful"):
         assert find_pair(tmp_path / "a.dat") == (tmp_path / "a.dat.hdr", tmp_path / "a.dat")
-    for missing in ("nothing.hdr", "nothing", "."):
+    expect_error(FormatError, "path-is-folder", partial(find_pair, tmp_path))
+    netcdf = tmp_path / "a.nc"  # beside the header of a.img
+    netcdf.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(1000))
+    expect_error(FormatError, "format-unknown", partial(open_envi, netcdf, keep_whole_lines=True))
+    for missing in ("nothing.hdr", "nothing"):
         expect_error(FileNotFoundError, "no such file", partial(find_pair, tmp_path / missing))
 
 
