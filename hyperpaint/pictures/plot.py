@@ -836,8 +836,7 @@ def quicklook(
     dataset, cube_name = with_shown_cube(dataset)
     has_flags = "quality" in dataset.variables
     # a cube without a named quantity has no row of the table
-    shown = ["quality"] * has_flags + [cube_name] * (cube_name != "values")
-    require(dataset, shown, "a quicklook")
+    require(dataset, ["quality"] * has_flags + [cube_name] * (cube_name != "values"), "a quicklook")
     step = max(1, dataset.sizes[ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
     dataset = dataset.isel({ALONG_TRACK: slice(None, None, step)})

@@ -53,6 +53,7 @@ from hyperpaint.io.store import (
     list_groups,
     open_store,
     to_store,
+    verify,
 )
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
@@ -724,8 +725,14 @@ def _report(day: FieldDayRun) -> str:
         overwrite=True,
         progress=day.progress("report"),
     )
-    problems = f"; cannot be read: {'; '.join(page.problems)}" if page.problems else ""
-    return f"{page.path}{problems}"
+    damaged = [text for text in (verify(day.store).problems if page.problems else ()) if "[chunk-" in text]
+    StoreError.raise_if(
+        damaged,
+        f"{day.store}: {'; '.join(damaged[:3])}",
+        mend="delete these files of the store, and run again: their lines are written again",
+        code="store-damaged",
+    )
+    return "; ".join([str(page.path), *(f"cannot be read: {problem}" for problem in page.problems)])
 
 
 # --- declarations ------------------------------------------------------------------------------------------

@@ -286,6 +286,24 @@ def test_a_single_scan_line_is_left_out_of_the_maps(simulated: Path, tmp_path: P
     )
 
 
+def test_a_damaged_chunk_fails_the_report_of_the_run(simulated: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "day"
+    shutil.copytree(simulated, copied)
+    run = partial(run_field_day, copied, skip=[step for step in STEPS if step not in ("process", "report")])
+    ran = run()
+    chunk = next((ran.out / "lot.zarr/flightlines/raw_0/reflectance/c").rglob("0"))
+    while chunk.is_dir():
+        chunk = chunk / "0"
+    chunk.write_bytes(chunk.read_bytes()[::-1])
+    (ran.out / "report.html").unlink()
+    assert [error.codes for error in run().errors] == [("store-damaged",)]
+    # the way out that the error names
+    chunk.unlink()
+    ran = run()
+    assert not ran.errors
+    assert {outcome.step: outcome.state for outcome in ran.outcomes}["report"] == "done"
+
+
 def test_a_renamed_frame_index_is_found(folder: Path) -> None:
     for suffix in ("", ".hdr"):
         (folder / f"flight/raw_0{suffix}").rename(folder / f"flight/raw_a{suffix}")
