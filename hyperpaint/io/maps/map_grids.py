@@ -528,10 +528,13 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
 
 def required_grid(dataset: xr.Dataset) -> Grid:
     # Return the grid of a map; SchemaError where its position is unknown.
+    # a rotated map of ENVI has no x and y, only the text of its header
+    is_rotated = bool(re.search(r"rotation *= *[-+.0]*[1-9]", str(dataset.attrs.get("map_info"))))
     return SchemaError.raise_if_none(
         grid_of(dataset),
-        "the position of this map is unknown",
+        f"the position of this map is unknown{': map info of its header is rotated' * is_rotated}",
         expected="spatial_ref with a GeoTransform, or x and y",
+        mend="turn it north up first, for instance with gdalwarp" * is_rotated,
         code="place-unknown",
     )
 
