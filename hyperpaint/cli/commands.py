@@ -23,6 +23,7 @@ from hyperpaint.io.store import outside, virtual_groups
 from hyperpaint.pictures.figures import check_picture
 
 from .options import (
+    COLLECT,
     EXISTING,
     EXISTING_FILE,
     FAILED_CHECK,
@@ -223,7 +224,7 @@ Examples:
   hyperpaint check collect.toml --json                for programs: findings with codes, and what passed
   hyperpaint check --list                             all possible findings by name""",
 )
-@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.argument("collect", metavar="COLLECT.toml", type=COLLECT)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 @click.option(
     "--list",
@@ -273,7 +274,7 @@ Examples:
   hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
   hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
 )
-@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.argument("collect", metavar="COLLECT.toml", type=COLLECT)
 @takes(
     "workflows.pipeline:process",
     without=["memory_limit"],
@@ -318,7 +319,7 @@ Raw files that lie neither beside the store nor below its folder are read only i
   hyperpaint info lot.icechunk --allow /data/day
   hp.io.open_virtual("lot.icechunk", allow="/data/day")""",
 )
-@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.argument("collect", metavar="COLLECT.toml", type=COLLECT)
 @takes(
     "workflows.pipeline:virtualise",
     out={"metavar": "STORE", "type": PLACE, "help": "A folder, a repository of icechunk."},

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from hyperpaint.base import as_path, url_of
+from hyperpaint.base import as_path, is_plain_file, url_of
 
 if TYPE_CHECKING:
     from hyperpaint.workflows.pipeline import Outcome
@@ -32,6 +32,14 @@ class PathOrUrl(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = as_path(value)
         return super().convert(path, param, ctx) if url_of(path) is None else path
+
+
+class CollectPath(PathOrUrl):
+    # A ``collect.toml``, or the local folder that holds one.
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        toml = as_path(value) / "collect.toml"
+        is_there = url_of(toml) is None and is_plain_file(toml)
+        return super().convert(toml if is_there else value, param, ctx)
 
 
 PLACE = PathOrUrl(path_type=Path)
@@ -397,6 +405,7 @@ FILE = PathOrUrl(dir_okay=False, path_type=Path)
 FOLDER = PathOrUrl(file_okay=False, path_type=Path)
 EXISTING = PathOrUrl(exists=True, path_type=Path)
 EXISTING_FILE = PathOrUrl(exists=True, dir_okay=False, path_type=Path)
+COLLECT = CollectPath(exists=True, dir_okay=False, path_type=Path)
 
 #: Exit statuses of a command: data fail a check; the call or an input is wrong.
 FAILED_CHECK, WRONG_INPUT = 1, 2

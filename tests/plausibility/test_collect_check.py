@@ -52,7 +52,8 @@ def _change(cube: Path, change: object) -> None:
 
 
 def test_all_findings_are_shown_at_once_and_listed(collect: Path) -> None:
-    assert CliRunner().invoke(main, ["check", str(collect)]).output.endswith("judgements passed\n")
+    for path in (collect, collect.parent):
+        assert CliRunner().invoke(main, ["check", str(path)]).output.endswith("judgements passed\n")
     _change(collect.parent / "flight/raw_0", lambda counts: counts * 16)
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     done = CliRunner().invoke(main, ["check", str(collect)])
