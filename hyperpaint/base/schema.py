@@ -502,6 +502,10 @@ class Quality(IntFlag):
     NO_DATA = 2048, "counts", "#000000", "a dropped frame, or NaN counts", "NaN"
     TIMING_SENSITIVE = 4096, "light", "#e6cc00", "irradiance changes by over 1 % within the clock uncertainty"
 
+    def __invert__(self) -> "Quality":
+        # Python below 3.11.4 loses the upper bits, since the members have values of several parts
+        return Quality(sum(Quality) & ~int(self))
+
 
 def flag_names(bits: int = -1) -> list[str]:
     """Return the lower-case names of the flags that are set in ``bits``; by default of all flags.

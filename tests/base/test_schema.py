@@ -718,3 +718,8 @@ def test_another_word_is_refused() -> None:
         (SchemaError, "'yes'", lambda: hp.paints.mix_paints(paints, {"same": {"red": 1.0}})),
         (SchemaError, "'yes'", lambda: PaintCurves(paints, Coats(np.zeros(1), np.zeros(1)))),
     )
+
+
+def test_the_complement_of_flags_has_all_others() -> None:
+    for flag in Quality:
+        assert int(~flag) == sum(Quality) - flag
