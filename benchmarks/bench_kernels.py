@@ -163,19 +163,14 @@ class MatchIrradiance:
 
     def setup(self, spectra):
         from hyperpaint.base.responsivity import log_slope
+        from hyperpaint.light.responses import Responses
 
         self.samples = np.arange(350.0, 2501.0)
         drift = 1.0 + 0.1 * np.sin(np.arange(spectra) * FRAME_PERIOD)
         self.series = (drift[:, None] * sky(self.samples)).astype(np.float32)
         self.bands = wavelengths()
-        self.imager = {
-            "wavelength": self.bands,
-            "fwhm": np.full(BANDS, 6.0),
-            "srf_shape": "gaussian",
-            "srf_offset": None,
-            "srf": None,
-            "slope": log_slope(self.bands, 1.0 / instrument()["gain"].mean(axis=1), np.full(BANDS, 12.0)),
-        }
+        slope = log_slope(self.bands, 1.0 / instrument()["gain"].mean(axis=1), np.full(BANDS, 12.0))
+        self.imager = Responses(self.bands, np.full(BANDS, 6.0), slope=slope)
         inside = slice(*np.searchsorted(self.samples, [380.0, 1021.0]))
         self.window = self.series[:, inside].astype(np.float64)
         self.operator = self._gaussians(self.samples[inside])
