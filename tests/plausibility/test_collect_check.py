@@ -1,6 +1,7 @@
 """Collects that cannot be true, from the file to the refusal and on."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -392,6 +393,23 @@ def _edge(columns: int) -> Product:
 def test_products_that_pass_and_those_that_are_named(product: Product, named: set[str]) -> None:
     findings = judge_product("line", product)
     assert {finding.kind.name for finding in findings if not finding.passes} == named
+
+
+@pytest.mark.parametrize(
+    ("dark", "numbers"),
+    [
+        (slice(17, None), ["17", "0.50"]),
+        (slice(None, 17), ["16", "0.50"]),
+        (slice(12, 17), ["12", "16", "0.50"]),
+    ],
+)
+def test_the_darker_columns_are_named(dark: slice, numbers: list[str]) -> None:
+    share = np.ones(COLUMNS)
+    share[dark] = 0.5
+    product = _product()
+    findings = judge_product("line", product._replace(light=product.light * share))
+    (step,) = (finding for finding in findings if not finding.passes)
+    assert (step.kind.name, re.findall(r"[\d.]+", step.found)) == ("swath-step", numbers)
 
 
 @pytest.mark.parametrize(
